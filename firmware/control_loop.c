@@ -1,0 +1,381 @@
+/* The 1 kHz control loop, with its scalings.
+ *
+ *       command     m/s Q13, rad/s Q11 | mm Q13, mrad Q13 | duty Q15
+ *          |
+ *          v                                                             world frame
+ *      trajectory   m/s Q22, rad/s Q22 and mm Q13, mrad Q13
+ *          |
+ *          v   error mm Q8 * gain Q20 -> m/s Q22
+ *         (-)<------------------------------- pose   mm Q13, mrad Q13
+ *          |                                   ^
+ *    traction limit  F = (J+)' M a, N Q8       |
+ *          |                                odometry
+ *   - - - -|- - - - - - - - - - - - - - - - - -|- - - - - - - - - - - -  body frame
+ *          v   m/s Q13, rad/s Q11              |   m/s Q13, rad/s Q11
+ *    kinematics J                           slip observer, or J+
+ *          |                                   ^
+ *          v   hub m/s Q13                     |
+ *        + slip(F)                             |   rim m/s Q13, force N Q8
+ *          |                                   |
+ *        * n / R                             * R / n
+ *          |                                   ^
+ *          v   shaft rad/s Q5                  |   shaft rad/s Q5
+ *       4 x PID  <-----------------------------+
+ *    + feed-forward(F, W, dW/dt)               |
+ *          |                                wheel speed
+ *          v   V Q9                            ^
+ *       / supply                               |   counts
+ *          |   duty Q15                        |
+ *   ======hal=================================hal======
+ *
+ * Equations stand in the headers of the parts.
+ */
+#include "firmware/control_loop.h"
+
+#include "firmware/contact.h"
+#include "firmware/fixed_point.h"
+#include "firmware/motor.h"
+#include "hal/hal.h"
+
+/* The parts of the tick, in the order of their call; each works on the loop's state. */
+static i16 measure(control_loop *loop);
+static control_limit fault(control_loop *loop, i16 supply_v_q9);
+static void rest(control_loop *loop, control_limit reason);
+static void drive_duty(control_loop *loop);
+static kinematics_force advance_target(control_loop *loop);
+static kinematics_velocity demand_velocity(control_loop *loop);
+static void drive_wheels(control_loop *loop, const kinematics_velocity *body,
+                         const kinematics_force *inertia, i16 supply_v_q9);
+
+void control_loop_tick(control_loop *loop) {
+    const i16 supply_v_q9 = measure(loop);
+    const control_limit fault_now = fault(loop, supply_v_q9);
+    kinematics_velocity body;
+    kinematics_force inertia;
+
+    loop->telemetry.limit = CONTROL_LIMIT_NONE;
+    if (fault_now != CONTROL_LIMIT_NONE) {
+        rest(loop, fault_now);
+    } else if (loop->telemetry.mode == CONTROL_MODE_IDLE) {
+        rest(loop, loop->idle_limit);
+    } else if (loop->telemetry.mode == CONTROL_MODE_DUTY) {
+        drive_duty(loop);
+    } else {
+        inertia = advance_target(loop);
+        body = demand_velocity(loop);
+        drive_wheels(loop, &body, &inertia, supply_v_q9);
+    }
+    hal_write_duty(loop->telemetry.duty_q15);
+}
+
+/* ---- From the sensors to the pose ---- */
+
+static i16 read_supply_v_q9(void) {
+    /* mV -> V Q9: times 512 / 1000 = 33554 / 2^16 */
+    const u32 supply_q9 = (u32)hal_read_supply_mv() * (u32)33554 >> 16;
+    return supply_q9 > I16_MAX ? I16_MAX : (i16)supply_q9;
+}
+
+static void measure_wheels(control_loop *loop, i16 rim_m_s_q13[WHEEL_COUNT]) {
+    u16 counts[WHEEL_COUNT];
+    u16 i;
+    hal_read_encoder_counts(counts);
+    for (i = 0; i < WHEEL_COUNT; i++) {
+        i16 shaft_q5;
+        if (!loop->counters_known)
+            wheel_speed_reset(&loop->speed[i], counts[i]);
+        shaft_q5 = wheel_speed_step_rad_s_q5(&loop->speed[i], loop->settings, counts[i]);
+        loop->telemetry.shaft_rad_s_q5[i] = shaft_q5;
+        /* Q5 * Q20 = Q25 -> Q13 */
+        rim_m_s_q13[i] = fixed_saturate_i16(fixed_shift_right(
+            (i32)shaft_q5 * PARAMETER_GET(loop->settings, rim_per_shaft_q20), 12));
+    }
+    loop->counters_known = 1;
+}
+
+static i16 measure(control_loop *loop) {
+    control_loop_telemetry *telemetry = &loop->telemetry;
+    i16 rim_m_s_q13[WHEEL_COUNT];
+    i16 voltage_v_q9[WHEEL_COUNT];
+    i16 supply_q9;
+    u16 i;
+    measure_wheels(loop, rim_m_s_q13);
+    supply_q9 = read_supply_v_q9();
+    for (i = 0; i < WHEEL_COUNT; i++) {
+        voltage_v_q9[i] = fixed_multiply_q15(supply_q9, telemetry->duty_q15[i]);
+    }
+    slip_observer_step(&loop->observer, loop->settings, voltage_v_q9, telemetry->shaft_rad_s_q5,
+                       rim_m_s_q13);
+    for (i = 0; i < WHEEL_COUNT; i++) {
+        telemetry->force_n_q8[i] = slip_observer_force_n_q8(&loop->observer, i);
+        telemetry->slip_m_s_q13[i] = loop->observer.slip_m_s_q13[i];
+    }
+    telemetry->null_slip_m_s_q13 = kinematics_null_slip_m_s_q13(loop->settings, rim_m_s_q13);
+    telemetry->observed = slip_observer_velocity(&loop->observer);
+    kinematics_forward(loop->settings, rim_m_s_q13, &telemetry->rolling);
+    odometry_step(&telemetry->pose, PARAMETER_GET(loop->settings, slip_compensation)
+                                        ? &telemetry->observed
+                                        : &telemetry->rolling);
+    return supply_q9;
+}
+
+/* ---- Reasons to stand still ---- */
+
+/* What forces the duty to zero, CONTROL_LIMIT_NONE if nothing does. */
+static control_limit fault(control_loop *loop, i16 supply_v_q9) {
+    const parameters *p = loop->settings;
+    if (supply_v_q9 < PARAMETER_GET(p, supply_minimum_q9))
+        return CONTROL_LIMIT_SUPPLY;
+    if (loop->telemetry.mode == CONTROL_MODE_IDLE)
+        return CONTROL_LIMIT_NONE;
+    if (loop->command_age_ms >= PARAMETER_GET(p, command_timeout_ms))
+        return CONTROL_LIMIT_TIMEOUT;
+    loop->command_age_ms++;
+    return CONTROL_LIMIT_NONE;
+}
+
+/* Target, demand and wheel controllers rest on the measured motion, so that a later command starts
+ * from it. */
+static void follow_motion(control_loop *loop) {
+    control_loop_telemetry *telemetry = &loop->telemetry;
+    u16 i;
+    trajectory_start(&loop->target, &telemetry->pose,
+                     PARAMETER_GET(loop->settings, slip_compensation) ? &telemetry->observed
+                                                                      : &telemetry->rolling);
+    loop->demand = loop->target.velocity;
+    telemetry->target = telemetry->pose;
+    for (i = 0; i < WHEEL_COUNT; i++) {
+        wheel_pid_reset(&loop->pid[i], telemetry->shaft_rad_s_q5[i]);
+        loop->wheel_target_rad_s_q5[i] = telemetry->shaft_rad_s_q5[i];
+    }
+}
+
+static void rest(control_loop *loop, control_limit reason) {
+    u16 i;
+    for (i = 0; i < WHEEL_COUNT; i++)
+        loop->telemetry.duty_q15[i] = 0;
+    loop->telemetry.mode = CONTROL_MODE_IDLE;
+    loop->telemetry.limit = reason;
+    loop->idle_limit = reason;
+    follow_motion(loop);
+}
+
+static void drive_duty(control_loop *loop) {
+    const i16 limit_q15 = PARAMETER_GET(loop->settings, duty_limit_q15);
+    u16 i;
+    for (i = 0; i < WHEEL_COUNT; i++) {
+        loop->telemetry.duty_q15[i] = fixed_clamp_i16(loop->command_duty_q15[i], limit_q15);
+    }
+    follow_motion(loop);
+}
+
+/* ---- From the target to the duty ---- */
+
+/* Every clamp has a name that reaches the operator; the enumeration is in order of weight. */
+static void report_limit(control_loop *loop, control_limit limit) {
+    if (limit > loop->telemetry.limit)
+        loop->telemetry.limit = limit;
+}
+
+/* Advances the target; returns the force that its acceleration takes, in the body frame. */
+static kinematics_force advance_target(control_loop *loop) {
+    const u16 heading = odometry_binary_angle(loop->telemetry.pose.theta_mrad_q13);
+    traction_change change = loop->target.velocity;
+    u16 axis;
+    if (loop->telemetry.mode == CONTROL_MODE_POSE) {
+        trajectory_step_to_pose(&loop->target);
+    } else if (trajectory_step_velocity(&loop->target, loop->settings, &loop->command_velocity)) {
+        report_limit(loop, CONTROL_LIMIT_TRACTION);
+    }
+    loop->telemetry.target.x_mm_q13 = loop->target.position_q13[0];
+    loop->telemetry.target.y_mm_q13 = loop->target.position_q13[1];
+    loop->telemetry.target.theta_mrad_q13 = odometry_wrap_mrad_q13(loop->target.position_q13[2]);
+    for (axis = 0; axis < 3; axis++) {
+        change.axis_q22[axis] = loop->target.velocity.axis_q22[axis] - change.axis_q22[axis];
+    }
+    if (traction_limit(loop->settings, heading, &change)) {
+        report_limit(loop, CONTROL_LIMIT_TRACTION);
+    }
+    return traction_inertia_force(loop->settings, heading, &change);
+}
+
+/* mm Q13 -> mm Q8, limited to +-128 mm; * 1/ms Q20 = Q28 -> m/s Q22. The same for mrad and rad/s.
+ */
+static i32 correction_q22(i32 error_q13, i16 gain_q20) {
+    const i16 error_q8 = fixed_clamp_i16(fixed_shift_right(error_q13, 5), I16_MAX);
+    return fixed_shift_right((i32)error_q8 * gain_q20, 6);
+}
+
+static void wanted_velocity(const control_loop *loop, traction_change *wanted) {
+    const control_loop_telemetry *telemetry = &loop->telemetry;
+    const i16 gain_q20 = PARAMETER_GET(loop->settings, position_gain_q20);
+    const i16 heading_gain_q20 = PARAMETER_GET(loop->settings, heading_gain_q20);
+    const i32 turn_q13 =
+        odometry_wrap_mrad_q13(telemetry->target.theta_mrad_q13 - telemetry->pose.theta_mrad_q13);
+    *wanted = loop->target.velocity;
+    wanted->axis_q22[0] += correction_q22(
+        fixed_subtract_i32(telemetry->target.x_mm_q13, telemetry->pose.x_mm_q13), gain_q20);
+    wanted->axis_q22[1] += correction_q22(
+        fixed_subtract_i32(telemetry->target.y_mm_q13, telemetry->pose.y_mm_q13), gain_q20);
+    wanted->axis_q22[2] += correction_q22(turn_q13, heading_gain_q20);
+}
+
+/* Velocity of the target corrected by the pose error, in the body frame. */
+static kinematics_velocity demand_velocity(control_loop *loop) {
+    const u16 heading = odometry_binary_angle(loop->telemetry.pose.theta_mrad_q13);
+    traction_change change;
+    kinematics_velocity body;
+    u16 axis;
+    wanted_velocity(loop, &change);
+    for (axis = 0; axis < 3; axis++)
+        change.axis_q22[axis] -= loop->demand.axis_q22[axis];
+    if (traction_limit(loop->settings, heading, &change)) {
+        report_limit(loop, CONTROL_LIMIT_TRACTION);
+    }
+    for (axis = 0; axis < 3; axis++)
+        loop->demand.axis_q22[axis] += change.axis_q22[axis];
+    body.x_m_s_q13 = fixed_saturate_i16(fixed_shift_right(loop->demand.axis_q22[0], 9));
+    body.y_m_s_q13 = fixed_saturate_i16(fixed_shift_right(loop->demand.axis_q22[1], 9));
+    body.omega_rad_s_q11 = fixed_saturate_i16(fixed_shift_right(loop->demand.axis_q22[2], 11));
+    odometry_rotate((u16)(0U - heading), &body.x_m_s_q13, &body.y_m_s_q13);
+    return body;
+}
+
+/* Shaft speed at which the wheel moves its hub at this speed and exerts this force. */
+static i16 shaft_target_rad_s_q5(const parameters *p, i16 hub_m_s_q13, i16 force_n_q8) {
+    i16 rim_m_s_q13 = hub_m_s_q13;
+    if (PARAMETER_GET(p, slip_compensation)) {
+        rim_m_s_q13 =
+            fixed_add_i16(rim_m_s_q13, contact_slip_from_force(p, force_n_q8).slip_m_s_q13);
+    }
+    /* Q13 * Q6 = Q19 -> Q5 */
+    return fixed_saturate_i16(
+        fixed_shift_right((i32)rim_m_s_q13 * PARAMETER_GET(p, shaft_per_rim_q6), 14));
+}
+
+static i16 wheel_voltage_v_q9(control_loop *loop, u16 wheel, i16 hub_m_s_q13, i16 force_n_q8,
+                              i16 limit_v_q9) {
+    const parameters *p = loop->settings;
+    const i16 target_q5 = shaft_target_rad_s_q5(p, hub_m_s_q13, force_n_q8);
+    const i16 change_q5 = fixed_subtract_i16(target_q5, loop->wheel_target_rad_s_q5[wheel]);
+    wheel_pid_input input;
+    u16 limited = 0;
+    i16 voltage_q9;
+    input.target_rad_s_q5 = target_q5;
+    input.shaft_rad_s_q5 = loop->telemetry.shaft_rad_s_q5[wheel];
+    input.feed_forward_v_q9 = motor_voltage_v_q9(p, force_n_q8, target_q5, change_q5);
+    input.limit_v_q9 = limit_v_q9;
+    voltage_q9 = wheel_pid_step_v_q9(&loop->pid[wheel], p, &input, &limited);
+    if (limited)
+        report_limit(loop, CONTROL_LIMIT_VOLTAGE);
+    loop->wheel_target_rad_s_q5[wheel] = target_q5;
+    return voltage_q9;
+}
+
+static void drive_wheels(control_loop *loop, const kinematics_velocity *body,
+                         const kinematics_force *inertia, i16 supply_v_q9) {
+    const parameters *p = loop->settings;
+    const kinematics_force roller = contact_roller_force(p, body);
+    const i16 limit_v_q9 = fixed_multiply_q15(supply_v_q9, PARAMETER_GET(p, duty_limit_q15));
+    /* 2^27 / Q9; below 2^15 because supply_minimum is above 8 V */
+    const i16 inverse_supply_q18 = (i16)(134217728L / supply_v_q9);
+    kinematics_force force = *inertia;
+    i16 hub_m_s_q13[WHEEL_COUNT];
+    i16 force_n_q8[WHEEL_COUNT];
+    u16 i;
+    force.x_n_q6 = fixed_subtract_i16(force.x_n_q6, roller.x_n_q6);
+    force.y_n_q6 = fixed_subtract_i16(force.y_n_q6, roller.y_n_q6);
+    kinematics_inverse(p, body, hub_m_s_q13);
+    kinematics_wheel_forces(p, &force, force_n_q8);
+    for (i = 0; i < WHEEL_COUNT; i++) {
+        const i16 voltage_q9 =
+            wheel_voltage_v_q9(loop, i, hub_m_s_q13[i], force_n_q8[i], limit_v_q9);
+        /* Q9 * Q18 = Q27 -> Q15 */
+        loop->telemetry.duty_q15[i] =
+            fixed_clamp_i16(fixed_shift_right((i32)voltage_q9 * inverse_supply_q18, 12),
+                            PARAMETER_GET(p, duty_limit_q15));
+    }
+}
+
+/* ---- Commands ---- */
+
+static void accept(control_loop *loop, control_mode mode) {
+    loop->telemetry.mode = mode;
+    loop->command_age_ms = 0;
+}
+
+void control_loop_command_velocity(control_loop *loop, i16 x_mm_s, i16 y_mm_s, i16 omega_mrad_s) {
+    kinematics_velocity *command = &loop->command_velocity;
+    /* mm/s -> m/s Q13: times 8192 / 1000; mrad/s -> rad/s Q11: times 2048 / 1000 */
+    command->x_m_s_q13 = fixed_saturate_i16((i32)x_mm_s * 1024 / 125);
+    command->y_m_s_q13 = fixed_saturate_i16((i32)y_mm_s * 1024 / 125);
+    command->omega_rad_s_q11 = fixed_saturate_i16((i32)omega_mrad_s * 256 / 125);
+    accept(loop, CONTROL_MODE_VELOCITY);
+}
+
+static int same_pose_command(const control_loop *loop, const odometry_pose *goal,
+                             const kinematics_velocity *arrival) {
+    const odometry_pose *pose = &loop->command_pose;
+    const kinematics_velocity *velocity = &loop->command_arrival;
+    return pose->x_mm_q13 == goal->x_mm_q13 && pose->y_mm_q13 == goal->y_mm_q13 &&
+           pose->theta_mrad_q13 == goal->theta_mrad_q13 &&
+           velocity->x_m_s_q13 == arrival->x_m_s_q13 && velocity->y_m_s_q13 == arrival->y_m_s_q13 &&
+           velocity->omega_rad_s_q11 == arrival->omega_rad_s_q11;
+}
+
+trajectory_status control_loop_command_pose(control_loop *loop, const odometry_pose *goal,
+                                            const kinematics_velocity *arrival) {
+    if (loop->telemetry.mode != CONTROL_MODE_POSE || !same_pose_command(loop, goal, arrival)) {
+        const trajectory_status status =
+            trajectory_plan(&loop->target, loop->settings, goal, arrival);
+        if (status != TRAJECTORY_OK)
+            return status;
+        loop->command_pose = *goal;
+        loop->command_arrival = *arrival;
+    }
+    accept(loop, CONTROL_MODE_POSE);
+    return TRAJECTORY_OK;
+}
+
+void control_loop_command_duty(control_loop *loop, const i16 duty_q15[WHEEL_COUNT]) {
+    u16 i;
+    for (i = 0; i < WHEEL_COUNT; i++)
+        loop->command_duty_q15[i] = duty_q15[i];
+    accept(loop, CONTROL_MODE_DUTY);
+}
+
+void control_loop_stop(control_loop *loop) {
+    loop->telemetry.mode = CONTROL_MODE_IDLE;
+    loop->idle_limit = CONTROL_LIMIT_NONE;
+}
+
+/* ---- Start ---- */
+
+static void reset_telemetry(control_loop_telemetry *telemetry) {
+    const kinematics_velocity still = {0, 0, 0};
+    const odometry_pose origin = {0, 0, 0};
+    u16 i;
+    for (i = 0; i < WHEEL_COUNT; i++) {
+        telemetry->duty_q15[i] = 0;
+        telemetry->shaft_rad_s_q5[i] = 0;
+        telemetry->force_n_q8[i] = 0;
+        telemetry->slip_m_s_q13[i] = 0;
+    }
+    telemetry->null_slip_m_s_q13 = 0;
+    telemetry->rolling = still;
+    telemetry->observed = still;
+    telemetry->pose = origin;
+    telemetry->target = origin;
+    telemetry->mode = CONTROL_MODE_IDLE;
+    telemetry->limit = CONTROL_LIMIT_NONE;
+}
+
+void control_loop_init(control_loop *loop, const parameters *p) {
+    loop->settings = p;
+    loop->counters_known = 0;
+    loop->command_age_ms = 0;
+    reset_telemetry(&loop->telemetry);
+    slip_observer_reset(&loop->observer);
+    control_loop_stop(loop);
+    follow_motion(loop);
+}

@@ -1,0 +1,103 @@
+/* The 1 kHz control loop of the robot, from a command to four duties; drawn in control_loop.c.
+ *
+ * A command lives for the parameter command_timeout; whoever commands repeats it. Repeating a pose
+ * command does not plan anew. A new command is taken over in flight, without a jump of the target's
+ * speed.
+ *
+ * The duty is zero within one tick after: control_loop_stop, a timeout, a supply below its minimum.
+ * The target then rests on the odometry, and the next command starts from the motion that the
+ * odometry sees.
+ *
+ * With parameter slip_compensation = 1 the odometry is that of the slip observer and the rim speeds
+ * carry the slip that the demanded force needs; with 0 wheels are taken to roll. Gains and limits
+ * are the same in both.
+ *
+ * All functions of one loop belong to one thread of execution: on the robot, commands are called
+ * with the tick interrupt masked or from it.
+ */
+#ifndef FIRMWARE_CONTROL_LOOP_H
+#define FIRMWARE_CONTROL_LOOP_H
+
+#include "firmware/kinematics.h"
+#include "firmware/odometry.h"
+#include "firmware/parameters.h"
+#include "firmware/slip_observer.h"
+#include "firmware/traction.h"
+#include "firmware/trajectory.h"
+#include "firmware/wheel_pid.h"
+#include "firmware/wheel_speed.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+typedef enum {
+    CONTROL_MODE_IDLE = 0,
+    CONTROL_MODE_VELOCITY,
+    CONTROL_MODE_POSE,
+    CONTROL_MODE_DUTY
+} control_mode;
+
+/* What limits the robot in this tick; the largest that applies. */
+typedef enum {
+    CONTROL_LIMIT_NONE = 0,
+    CONTROL_LIMIT_TRACTION, /* acceleration cut to the grip */
+    CONTROL_LIMIT_VOLTAGE,  /* a wheel wants more than supply times duty_limit */
+    CONTROL_LIMIT_TIMEOUT,  /* no command within command_timeout; duty zero */
+    CONTROL_LIMIT_SUPPLY    /* supply below supply_minimum; duty zero */
+} control_limit;
+
+typedef struct {
+    i16 duty_q15[WHEEL_COUNT];
+    i16 shaft_rad_s_q5[WHEEL_COUNT];
+    i16 force_n_q8[WHEEL_COUNT];   /* observer: force of the wheel on the body, drive direction */
+    i16 slip_m_s_q13[WHEEL_COUNT]; /* observer: rim speed minus hub speed */
+    i16 null_slip_m_s_q13;         /* kinematics.h: needs no friction model */
+    kinematics_velocity rolling;   /* body velocity if no wheel slips */
+    kinematics_velocity observed;  /* body velocity of the slip observer */
+    odometry_pose pose;            /* world frame */
+    odometry_pose target;          /* world frame */
+    control_mode mode;
+    control_limit limit;
+} control_loop_telemetry;
+
+typedef struct {
+    const parameters *settings;
+    wheel_speed speed[WHEEL_COUNT];
+    wheel_pid pid[WHEEL_COUNT];
+    i16 wheel_target_rad_s_q5[WHEEL_COUNT];
+    slip_observer observer;
+    trajectory target;
+    traction_change demand; /* velocity demanded of the body, world frame */
+    kinematics_velocity command_velocity;
+    odometry_pose command_pose;
+    kinematics_velocity command_arrival;
+    i16 command_duty_q15[WHEEL_COUNT];
+    i16 command_age_ms;
+    control_limit idle_limit;
+    u16 counters_known;
+    control_loop_telemetry telemetry;
+} control_loop;
+
+/* At rest at the world origin, duty zero until the first command. Keeps the pointer: parameters may
+ * change between ticks. */
+void control_loop_init(control_loop *loop, const parameters *p);
+
+/* Body frame, mm/s and mrad/s; limited to the limits of speed along its direction. */
+void control_loop_command_velocity(control_loop *loop, i16 x_mm_s, i16 y_mm_s, i16 omega_mrad_s);
+/* Pose and the velocity on arrival there, both in the world frame; TRAJECTORY_TOO_FAR leaves the
+ * present command in force. */
+trajectory_status control_loop_command_pose(control_loop *loop, const odometry_pose *goal,
+                                            const kinematics_velocity *arrival);
+/* Duties straight to the bridges, for identification; limited to duty_limit. */
+void control_loop_command_duty(control_loop *loop, const i16 duty_q15[WHEEL_COUNT]);
+void control_loop_stop(control_loop *loop);
+
+/* Every 1 ms. */
+void control_loop_tick(control_loop *loop);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif

@@ -1,0 +1,174 @@
+/* Fixed-point arithmetic; formats, errors and sources in fixed_point.h. */
+#include "firmware/fixed_point.h"
+
+#define QUARTER_TURN 16384
+#define HALF_TURN 32768L
+
+i16 fixed_saturate_i16(i32 value) {
+    if (value > I16_MAX)
+        return I16_MAX;
+    if (value < I16_MIN)
+        return I16_MIN;
+    return (i16)value;
+}
+
+i16 fixed_clamp_i16(i32 value, i16 magnitude) {
+    if (value > magnitude)
+        return magnitude;
+    if (value < -(i32)magnitude)
+        return (i16)-magnitude;
+    return (i16)value;
+}
+
+i16 fixed_add_i16(i16 a, i16 b) {
+    return fixed_saturate_i16((i32)a + b);
+}
+
+i16 fixed_subtract_i16(i16 a, i16 b) {
+    return fixed_saturate_i16((i32)a - b);
+}
+
+i32 fixed_add_i32(i32 a, i32 b) {
+    if (b > 0 && a > (i32)I32_MAX - b)
+        return (i32)I32_MAX;
+    if (b < 0 && a < (i32)I32_MIN - b)
+        return (i32)I32_MIN;
+    return a + b;
+}
+
+i32 fixed_subtract_i32(i32 a, i32 b) {
+    if (b < 0 && a > (i32)I32_MAX + b)
+        return (i32)I32_MAX;
+    if (b > 0 && a < (i32)I32_MIN + b)
+        return (i32)I32_MIN;
+    return a - b;
+}
+
+i32 fixed_shift_right(i32 value, u16 shift) {
+    /* The last bit shifted out decides; value + half could overflow. */
+    return (value >> shift) + ((value >> (shift - 1)) & 1);
+}
+
+i32 fixed_shift_left(i32 value, u16 shift) {
+    const i32 limit = (i32)I32_MAX >> shift;
+    if (value > limit)
+        return (i32)I32_MAX;
+    if (value < -limit - 1)
+        return (i32)I32_MIN;
+    return (i32)((u32)value << shift);
+}
+
+i16 fixed_multiply_q15(i16 a, i16 b_q15) {
+    return fixed_saturate_i16(fixed_shift_right((i32)a * b_q15, 15)); /* Qn * Q15 -> Qn */
+}
+
+i32 fixed_multiply_i32_q15(i32 a, i16 b_q15) {
+    const i16 high = (i16)(a >> 16);
+    const i16 low_half = (i16)((u32)(a & 0xFFFFL) >> 1); /* halved to fit a signed factor */
+    const i32 high_product = fixed_shift_left((i32)high * b_q15, 1); /* 2^16 / 2^15 = 2 */
+    return fixed_add_i32(high_product, fixed_shift_right((i32)low_half * b_q15, 14));
+}
+
+i32 fixed_divide(i32 numerator, u16 denominator, u16 shift) {
+    i32 quotient, remainder;
+    if (denominator == 0)
+        return numerator < 0 ? (i32)I32_MIN : (i32)I32_MAX;
+    quotient = numerator / (i32)denominator;
+    remainder = numerator - quotient * (i32)denominator;
+    /* remainder < 2^16, so remainder * 2^15 fits; its sign is that of the numerator. */
+    return fixed_add_i32(fixed_shift_left(quotient, shift),
+                         remainder * ((i32)1 << shift) / (i32)denominator);
+}
+
+/* sin(pi/2 x) for 0 <= x <= 1, x in Q14:
+ * x (1.5707903 - 0.6458929 x^2 + 0.0794344 x^4 - 0.0043331 x^6) */
+static i16 quarter_sine_q15(i32 x_q14) {
+    const i32 square_q15 = fixed_shift_right(x_q14 * x_q14, 13); /* Q28 -> Q15 */
+    i32 sum_q15 = -142;
+    sum_q15 = 2603 + fixed_shift_right(sum_q15 * square_q15, 15);      /* Q30 -> Q15 */
+    sum_q15 = -21165 + fixed_shift_right(sum_q15 * square_q15, 15);    /* Q30 -> Q15 */
+    sum_q15 = 51472 + fixed_shift_right(sum_q15 * square_q15, 15);     /* Q30 -> Q15 */
+    return fixed_saturate_i16(fixed_shift_right(sum_q15 * x_q14, 14)); /* Q29 -> Q15 */
+}
+
+i16 fixed_sine_q15(u16 angle) {
+    const i32 in_half = (i32)(angle & 0x7FFFU);
+    const i32 x_q14 = in_half > QUARTER_TURN ? HALF_TURN - in_half : in_half;
+    const i16 magnitude_q15 = quarter_sine_q15(x_q14);
+    return (i16)(angle & 0x8000U ? -magnitude_q15 : magnitude_q15);
+}
+
+i16 fixed_cosine_q15(u16 angle) {
+    return fixed_sine_q15((u16)(angle + QUARTER_TURN));
+}
+
+i16 fixed_tangent_quarter_q10(i16 x_q15) {
+    const u16 angle = (u16)fixed_shift_right(x_q15, 1); /* a quarter turn is 2^14 */
+    const i16 cosine_q15 = fixed_cosine_q15(angle);
+    if (cosine_q15 <= 0)
+        return (i16)(x_q15 < 0 ? -I16_MAX : I16_MAX);
+    /* Q15 / Q15 * 2^10 -> Q10 */
+    return fixed_clamp_i16(fixed_divide(fixed_sine_q15(angle), (u16)cosine_q15, 10), I16_MAX);
+}
+
+/* atan(r) for 0 <= r <= 1, r in Q15, as an angle of full turn 65536: Abramowitz and Stegun 4.4.47
+ * times 65536 / (2 pi); the coefficients carry 2 more fractional bits than the result. */
+static i16 eighth_turn_atan(i32 ratio_q15) {
+    const i32 square_q15 = fixed_shift_right(ratio_q15 * ratio_q15, 15);
+    i32 sum_q2 = 869;
+    sum_q2 = -3552 + fixed_shift_right(sum_q2 * square_q15, 15);
+    sum_q2 = 7516 + fixed_shift_right(sum_q2 * square_q15, 15);
+    sum_q2 = -13780 + fixed_shift_right(sum_q2 * square_q15, 15);
+    sum_q2 = 41716 + fixed_shift_right(sum_q2 * square_q15, 15);
+    return (i16)fixed_shift_right(sum_q2 * ratio_q15, 17); /* Q2 * Q15 -> Q0 */
+}
+
+static i32 magnitude_i32(i32 value) {
+    if (value == (i32)I32_MIN)
+        return (i32)I32_MAX;
+    return value < 0 ? -value : value;
+}
+
+i16 fixed_atan2(i32 y, i32 x) {
+    i32 large = magnitude_i32(x);
+    i32 small = magnitude_i32(y);
+    const i16 swapped = (i16)(small > large);
+    i32 angle;
+    if (swapped) {
+        small = large;
+        large = magnitude_i32(y);
+    }
+    if (large == 0)
+        return 0;
+    while (large > I16_MAX) {
+        large >>= 1;
+        small >>= 1;
+    }
+    angle = eighth_turn_atan(fixed_divide(small, (u16)large, 15));
+    if (swapped)
+        angle = QUARTER_TURN - angle;
+    if (x < 0)
+        angle = HALF_TURN - angle;
+    if (y < 0)
+        angle = -angle;
+    return angle == HALF_TURN ? (i16)I16_MIN : (i16)angle; /* half a turn is its own negative */
+}
+
+u16 fixed_sqrt(u32 value) {
+    u32 root = 0;
+    u32 bit = (u32)1 << 30;
+    while (bit != 0) {
+        const u32 trial = root + bit;
+        root >>= 1;
+        if (value >= trial) {
+            value -= trial;
+            root += bit;
+        }
+        bit >>= 2;
+    }
+    return (u16)root;
+}
+
+u16 fixed_hypot(i16 a, i16 b) {
+    return fixed_sqrt((u32)((i32)a * a) + (u32)((i32)b * b));
+}

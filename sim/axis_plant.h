@@ -1,0 +1,137 @@
+/* axis_plant.h - one driven axis: a motor with a load, linear (m, N) or rotary (rad, N m).
+ *
+ * State x (2): speed v, position q. Command u in volt, ampere or duty.
+ *
+ *   M dv/dt = g u - e v - b v + effects - m_p g0 l sin(q)          dq/dt = v
+ *
+ * M inertia or mass, g input gain, e back-EMF as viscous equivalent, b viscous friction,
+ * m_p and l pendulum mass and length (0: none). The same friction effects act as on the robot's
+ * shafts; "torque" is force on a linear axis.
+ */
+#ifndef OMNISLIP_SIM_AXIS_PLANT_H
+#define OMNISLIP_SIM_AXIS_PLANT_H
+
+#include "robot_plant.h"
+
+namespace omnislip {
+
+constexpr BaseParameter kAxisBase[] = {
+    {"axis.inertia", "kg or kg m^2", 1.0},
+    {"axis.input_gain", "N or N m per unit of command", 1.0},
+    {"axis.back_emf", "N s/m or N m s", 0.0},
+    {"axis.viscous_friction", "N s/m or N m s", 0.0},
+    {"axis.pendulum_mass_kg", "kg", 0.0},
+    {"axis.pendulum_length_m", "m", 0.1},
+    {"axis.gravity_m_s2", "m/s^2", 9.81},
+    {"axis.friction_speed", "m/s or rad/s", 0.02},
+};
+
+template <class S>
+struct AxisInternals {
+    S force, friction;
+};
+
+template <class S>
+class AxisPlant {
+public:
+    static constexpr int kMotors = 1;
+    static constexpr int kStates = 2;
+    static constexpr int kOutputs = 1; /* position */
+    static constexpr int kBase = static_cast<int>(sizeof(kAxisBase) / sizeof(kAxisBase[0]));
+    static constexpr Kind kKind = kAxis;
+
+    void prepare(const S* flat, const bool* active) {
+        effects_ = flat + kBase;
+        hooks_ = 0;
+        c_.mass_kg = flat[0];
+        c_.inertia_kg_m2 = S(0.0);
+        c_.viscous_friction_nm_s[0] = flat[2] + flat[3];
+        c_.friction_speed = flat[7];
+        input_gain_ = flat[1];
+        for (int i = 0; i < kEffectCount; ++i) active_[i] = active[i];
+        for_each_effect(kMotors, [&](auto effect, int index, int slot) {
+            using E = decltype(effect);
+            if constexpr ((E::info.kinds & kAxis) != 0) {
+                if (!active_[index]) return;
+                hooks_ |= E::info.hooks;
+                E::prepare(c_, values<E>(slot));
+            }
+        });
+        inertia_ = c_.mass_kg + c_.inertia_kg_m2;
+        gravity_torque_ = flat[4] * flat[5] * flat[6];
+    }
+
+    void command(const S* u, S* driven) const {
+        CommandTerm<S, 1> term;
+        term.duty[0] = u[0];
+        apply(kCommand, [&](auto effect, int slot) {
+            using E = decltype(effect);
+            E::command(term, values<E>(slot));
+        });
+        driven[0] = term.duty[0];
+    }
+
+    void derivative(const S* x, const S* driven, const S&, S* dx, AxisInternals<S>& in) const {
+        using std::sin;
+        in.force = input_gain_ * driven[0];
+        in.friction = friction(x, in.force);
+        dx[0] = (in.force + in.friction - gravity_torque_ * sin(x[1])) / inertia_;
+        dx[1] = x[0];
+    }
+
+    void output(const S* x, const S&, S* y) const { y[0] = x[1]; }
+
+    double fastest_rate_1_s() const {
+        S moving[2] = {S(1e-3) * c_.friction_speed, S(0.0)};
+        S still[2] = {S(0.0), S(0.0)};
+        const S slope = (friction(still, S(0.0)) - friction(moving, S(0.0))) / moving[0];
+        const S rate = slope / inertia_;
+        double worst = 0.0;
+        for (int i = 0; i < LaneCount<S>::value; ++i) worst = std::max(worst, lane(rate, i));
+        return worst;
+    }
+
+private:
+    template <class E>
+    Values<S> values(int slot) const {
+        return {effects_ + slot, effect_stride(E::info, kMotors)};
+    }
+
+    template <class Action>
+    void apply(unsigned hook, Action&& action) const {
+        if (!(hooks_ & hook)) return;
+        for_each_effect(kMotors, [&](auto effect, int index, int slot) {
+            using E = decltype(effect);
+            if constexpr ((E::info.kinds & kAxis) != 0) {
+                if ((E::info.hooks & hook) && active_[index]) action(effect, slot);
+            }
+        });
+    }
+
+    S friction(const S* x, const S& motor_force) const {
+        using std::tanh;
+        S total = -c_.viscous_friction_nm_s[0] * x[0];
+        if (!(hooks_ & kShaft)) return total;
+        ShaftTerm<S, 1> term;
+        term.speed_rad_s = x;
+        term.angle_rad = x + 1;
+        term.motor_torque_nm = &motor_force;
+        term.torque_nm[0] = S(0.0);
+        term.sign[0] = tanh(x[0] / c_.friction_speed);
+        apply(kShaft, [&](auto effect, int slot) {
+            using E = decltype(effect);
+            E::shaft(term, values<E>(slot));
+        });
+        return total + term.torque_nm[0];
+    }
+
+    Constants<S, 1> c_;
+    S inertia_, input_gain_, gravity_torque_;
+    const S* effects_ = nullptr;
+    bool active_[kEffectCount] = {};
+    unsigned hooks_ = 0;
+};
+
+}  // namespace omnislip
+
+#endif

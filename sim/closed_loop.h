@@ -1,0 +1,53 @@
+/* closed_loop.h - the firmware drives the plant: the same C sources as on the board, tick by tick.
+ *
+ * At t = k ms the firmware reads the counters and the supply and writes four duties; the plant runs
+ * 1 ms under them (the computing time of the tick is not modelled). Commands are repeated every tick,
+ * as a host does that keeps the command timeout away. An impulse is a jump of the body's momentum,
+ * given in the world frame at the centre of gravity, at a time or where the body passes an x.
+ */
+#ifndef OMNISLIP_SIM_CLOSED_LOOP_H
+#define OMNISLIP_SIM_CLOSED_LOOP_H
+
+#include <cstdint>
+#include <vector>
+
+namespace omnislip {
+
+constexpr double kTick_s = 1e-3;
+
+struct Command {
+    enum Kind { kStop, kVelocity, kPose, kDuty };
+    double time_s = 0.0;
+    Kind kind = kStop;
+    double value[6] = {}; /* velocity: vx vy w; pose: x y theta vx vy w; duty: four */
+};
+
+struct Impulse {
+    bool at_x = false;
+    double trigger = 0.0; /* time [s] or world x [m] */
+    double x_n_s = 0.0, y_n_s = 0.0, theta_n_m_s = 0.0;
+};
+
+/* One entry per tick; vectors of several columns are row major. */
+struct ClosedLoopLog {
+    std::vector<double> time_s, duty, pose, velocity, wheel_speed_rad_s, current_a, slip_m_s;
+    std::vector<double> drive_force_n, supply_v, gyro_rad_s, camera_pose, odometry;
+    std::vector<std::uint16_t> encoder_counts;
+    std::vector<std::int32_t> limited;
+};
+
+/* `values`: parameter set of RobotPlant; `firmware`: raw value per parameter id, PARAMETER_COUNT of
+ * them. Throws std::invalid_argument when the firmware refuses a parameter or a command. */
+ClosedLoopLog run_closed_loop(const std::vector<double>& values,
+                              const std::vector<std::int32_t>& firmware,
+                              const std::vector<Command>& commands,
+                              const std::vector<Impulse>& impulses, double duration_s,
+                              double step_s);
+
+/* Name of the firmware parameter `id`. */
+const char* firmware_parameter_name(int id);
+int firmware_parameter_count();
+
+}  // namespace omnislip
+
+#endif

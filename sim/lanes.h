@@ -1,0 +1,43 @@
+/* lanes.h - one spelling of elementary functions for `double` and for SIMD batches of `double`.
+ *
+ * The plant is a template over its scalar S. With S = double it is one robot; with
+ * S = xsimd::batch<double, Arch> every lane is another parameter set over the same log. Comparisons
+ * give a mask, and `select(mask, a, b)` replaces the `if` that lanes cannot share.
+ */
+#ifndef OMNISLIP_SIM_LANES_H
+#define OMNISLIP_SIM_LANES_H
+
+#include <cmath>
+#include <xsimd/xsimd.hpp>
+
+namespace omnislip {
+
+constexpr double kPi = 3.14159265358979323846;
+
+template <class S>
+struct LaneCount {
+    static constexpr int value = static_cast<int>(S::size);
+};
+template <>
+struct LaneCount<double> {
+    static constexpr int value = 1;
+};
+
+inline double select(bool mask, double when_true, double when_false) {
+    return mask ? when_true : when_false;
+}
+
+inline double lane(double value, int) { return value; }
+template <class T, class A>
+double lane(const xsimd::batch<T, A>& value, int index) {
+    return value.get(static_cast<std::size_t>(index));
+}
+
+template <class S>
+S sign_of(const S& x) {
+    return select(x < S(0.0), S(-1.0), select(x > S(0.0), S(1.0), S(0.0)));
+}
+
+}  // namespace omnislip
+
+#endif

@@ -1,0 +1,103 @@
+/* replay.h - recorded commands driven through the model: predictor, innovations, replays.
+ *
+ * A recording is one run: times, the command held from each row to the next, and what the sensors
+ * showed (NaN = not sampled in that row). Three computations over it:
+ *
+ *   track        an extended Kalman filter of one model. It gives, row by row, the gain K_k and the
+ *                factor W_k with W_k S_k W_k' = I, S_k the covariance of the innovation; also the
+ *                variance that the noise alone gives to a replay: its noise floor.
+ *   innovations  the same filter for many parameter sets with K_k and W_k frozen: prediction errors
+ *                whitened by W_k. Frozen gains make the residual a smooth function of the parameters
+ *                and lose no information: for any gain the innovations are an invertible function
+ *                of the measurements.
+ *   replays      free-running simulation, restarted from the filtered state every `window_s`:
+ *                measured minus simulated, the error a user of the simulator sees.
+ *
+ * Parameter sets run in SIMD lanes and on all cores. Layouts are row major:
+ * command [row][motor], output [row][output], gain [row][state][output],
+ * whitening [row][output][output], residuals [set][row][output].
+ */
+#ifndef OMNISLIP_SIM_REPLAY_H
+#define OMNISLIP_SIM_REPLAY_H
+
+#include <memory>
+#include <vector>
+
+namespace omnislip {
+
+/* Replays start this long after the first row: until then the filter finds the initial state. */
+constexpr double kSettleTime_s = 0.25;
+
+struct Recording {
+    int rows = 0;
+    std::vector<double> time_s, command, output;
+    std::vector<double> initial_state;
+};
+
+/* Noise of the filter: variances per second added to each state, variances of the outputs, and the
+ * variance of the rows' times [s^2]: a row taken d late shows every output d times its rate off. */
+struct Noise {
+    std::vector<double> process, output, initial;
+    double timing_s2 = 0.0;
+};
+
+struct Track {
+    std::vector<double> gain, whitening;
+    std::vector<double> state;           /* [row][state] after the row's measurements */
+    std::vector<double> innovation;      /* [row][output], NaN where not sampled */
+    std::vector<double> correction_variance; /* [row][state] expected of gain * innovation */
+    std::vector<double> replay_variance; /* [row][output] expected of a replay's error */
+    double log_likelihood = 0.0;
+};
+
+struct ParameterSets {
+    const double* values = nullptr; /* [count][size] */
+    int count = 0;
+    int size = 0;
+};
+
+/* Parts that are compiled once per instruction set. */
+class Kernel {
+public:
+    virtual ~Kernel() = default;
+    virtual int lanes() const = 0;
+    virtual int states() const = 0;
+    virtual int outputs() const = 0;
+    virtual int motors() const = 0;
+    virtual int parameters() const = 0;
+    virtual const char* instruction_set() const = 0;
+    /* next [states], transition [states][states] over one row; parameters of one set. */
+    virtual void linearise(const double* values, const double* command, double time_s,
+                           double duration_s, double step_s, const double* state, double* next,
+                           double* transition) const = 0;
+    /* output [outputs], slope [outputs][states]. */
+    virtual void linearise_output(const double* values, double time_s, const double* state,
+                                  double* output, double* slope) const = 0;
+    /* Derivatives of the states of one set at many points: states [points][states], commands
+     * [points][motors], derivative [points][states]; time 0. */
+    virtual void derivatives(const double* values, int points, const double* states,
+                             const double* commands, double* derivative) const = 0;
+    /* First `count` <= lanes() sets from `values` on; residuals [set][row][output]. */
+    virtual void innovations(const Recording& recording, const Track& track, const double* values,
+                             int count, double step_s, double* residuals) const = 0;
+    virtual void replays(const Recording& recording, const Track& track, const double* values,
+                         int count, double step_s, double window_s, double* errors) const = 0;
+};
+
+/* Best kernel for this processor; kind 0 = robot, 1 = axis. `widest_lanes` bounds the width. */
+std::unique_ptr<Kernel> make_kernel(int kind, int widest_lanes);
+
+Track track(const Kernel& kernel, const Recording& recording, const double* values,
+            const Noise& noise, double step_s, double window_s);
+
+/* All recordings, all sets: residuals[r] holds [set][row][output] of recording r. */
+void innovations(const Kernel& kernel, const std::vector<const Recording*>& recordings,
+                 const std::vector<const Track*>& tracks, const ParameterSets& sets, double step_s,
+                 const std::vector<double*>& residuals);
+void replays(const Kernel& kernel, const std::vector<const Recording*>& recordings,
+             const std::vector<const Track*>& tracks, const ParameterSets& sets, double step_s,
+             double window_s, const std::vector<double*>& errors);
+
+}  // namespace omnislip
+
+#endif

@@ -1,0 +1,259 @@
+/* replay_kernel.cpp - the row loops of replay.h for one SIMD instruction set.
+ *
+ * Compiled once per instruction set with OMNISLIP_ARCH (an xsimd architecture) and
+ * OMNISLIP_ARCH_NAME. Only templates over that architecture and plain pointers live here, so that
+ * no function compiled for a wide instruction set can be linked into code for a narrow one.
+ */
+#include <new>
+
+#include "axis_plant.h"
+#include "integrator.h"
+#include "replay.h"
+#include "robot_plant.h"
+
+namespace omnislip {
+namespace {
+
+template <class S>
+RobotInternals<S> internals_of(const RobotPlant<S>&);
+template <class S>
+AxisInternals<S> internals_of(const AxisPlant<S>&);
+
+template <template <class> class PlantOf, class Arch>
+class KernelOf final : public Kernel {
+    using S = xsimd::batch<double, Arch>;
+    using Plant = PlantOf<S>;
+    using Internals = decltype(internals_of(std::declval<Plant>()));
+    static constexpr int kLanes = LaneCount<S>::value;
+    static constexpr int kStates = Plant::kStates;
+    static constexpr int kOutputs = Plant::kOutputs;
+    static constexpr int kMotors = Plant::kMotors;
+    static constexpr int kMaxParameters = 400;
+
+    /* A plant whose lanes hold the sets `values[0..count-1]` (the last one repeated). */
+    struct Loaded {
+        alignas(64) S flat[kMaxParameters];
+        Plant plant;
+        double rate_1_s;
+
+        Loaded(const double* values, int count, int size) {
+            alignas(64) double spread[kLanes];
+            bool active[kEffectCount] = {};
+            for (int p = 0; p < size; ++p) {
+                for (int i = 0; i < kLanes; ++i) {
+                    spread[i] = values[static_cast<long>(i < count ? i : count - 1) * size + p];
+                }
+                flat[p] = S::load_aligned(spread);
+            }
+            mark_active(values, count, size, active);
+            plant.prepare(flat, active);
+            rate_1_s = plant.fastest_rate_1_s();
+        }
+    };
+
+    /* An effect runs when any lane holds another value than neutral. */
+    static void mark_active(const double* values, int count, int size, bool* active) {
+        for_each_effect(kMotors, [&](auto effect, int index, int slot) {
+            using E = decltype(effect);
+            const int stride = effect_stride(E::info, kMotors);
+            for (int s = 0; s < count; ++s) {
+                const double* own = values + static_cast<long>(s) * size + Plant::kBase + slot;
+                for (int k = 0; k < E::info.parameter_count; ++k) {
+                    for (int i = 0; i < stride; ++i) {
+                        active[index] =
+                            active[index] || own[k * stride + i] != E::info.parameters[k].neutral;
+                    }
+                }
+            }
+        });
+    }
+
+    static void broadcast(const double* from, S* to, int n) {
+        for (int i = 0; i < n; ++i) to[i] = S(from[i]);
+    }
+
+    static void correct(const double* gain, const S* innovation, S* x) {
+        for (int i = 0; i < kStates; ++i) {
+            S change = S(gain[i * kOutputs]) * innovation[0];
+            for (int j = 1; j < kOutputs; ++j) {
+                change = change + S(gain[i * kOutputs + j]) * innovation[j];
+            }
+            x[i] = x[i] + change;
+        }
+    }
+
+    /* measured - predicted; 0 where nothing was measured. */
+    static void innovate(const Plant& plant, const double* measured, const S& time_s, const S* x,
+                         S* innovation) {
+        plant.output(x, time_s, innovation);
+        for (int j = 0; j < kOutputs; ++j) {
+            const bool sampled = measured[j] == measured[j];
+            innovation[j] = sampled ? S(measured[j]) - innovation[j] : S(0.0);
+        }
+    }
+
+    /* Lane k of to[i] = from[k][i]; lanes beyond `count` repeat the last row. */
+    static void gather(const double* from, int count, int width, S* to) {
+        alignas(64) double spread[kLanes];
+        for (int i = 0; i < width; ++i) {
+            for (int k = 0; k < kLanes; ++k) {
+                spread[k] = from[(k < count ? k : count - 1) * width + i];
+            }
+            to[i] = S::load_aligned(spread);
+        }
+    }
+
+    static void scatter(const S* rows, int count, long plane, double* out) {
+        alignas(64) double spread[kLanes];
+        for (int j = 0; j < kOutputs; ++j) {
+            rows[j].store_aligned(spread);
+            for (int s = 0; s < count; ++s) out[s * plane + j] = spread[s];
+        }
+    }
+
+    static int total_parameters() { return Plant::kBase + effect_slot_count(kMotors); }
+
+public:
+    int lanes() const override { return kLanes; }
+    int states() const override { return kStates; }
+    int outputs() const override { return kOutputs; }
+    int motors() const override { return kMotors; }
+    int parameters() const override { return total_parameters(); }
+    const char* instruction_set() const override { return OMNISLIP_ARCH_NAME; }
+
+    void linearise(const double* values, const double* command, double time_s, double duration_s,
+                   double step_s, const double* state, double* next,
+                   double* transition) const override {
+        const Loaded loaded(values, 1, total_parameters());
+        const double probe = 1e-5;
+        S held[kMotors];
+        broadcast(command, held, kMotors);
+        Internals in;
+        for (int first = 0; first < kStates; first += kLanes - 1) {
+            S x[kStates];
+            seed(state, first, probe, x);
+            advance(loaded.plant, x, held, time_s, duration_s, step_s, loaded.rate_1_s, in);
+            for (int i = 0; i < kStates; ++i) {
+                next[i] = lane(x[i], 0);
+                for (int j = first; j < kStates && j < first + kLanes - 1; ++j) {
+                    transition[i * kStates + j] = (lane(x[i], j - first + 1) - next[i]) / probe;
+                }
+            }
+        }
+    }
+
+    void linearise_output(const double* values, double time_s, const double* state, double* output,
+                          double* slope) const override {
+        const Loaded loaded(values, 1, total_parameters());
+        const double probe = 1e-5;
+        for (int first = 0; first < kStates; first += kLanes - 1) {
+            S x[kStates], y[kOutputs];
+            seed(state, first, probe, x);
+            loaded.plant.output(x, S(time_s), y);
+            for (int i = 0; i < kOutputs; ++i) {
+                output[i] = lane(y[i], 0);
+                for (int j = first; j < kStates && j < first + kLanes - 1; ++j) {
+                    slope[i * kStates + j] = (lane(y[i], j - first + 1) - output[i]) / probe;
+                }
+            }
+        }
+    }
+
+    void derivatives(const double* values, int points, const double* states,
+                     const double* commands, double* derivative) const override {
+        const Loaded loaded(values, 1, total_parameters());
+        S x[kStates], held[kMotors], driven[kMotors], dx[kStates];
+        Internals in;
+        for (int first = 0; first < points; first += kLanes) {
+            const int count = points - first < kLanes ? points - first : kLanes;
+            gather(states + static_cast<long>(first) * kStates, count, kStates, x);
+            gather(commands + static_cast<long>(first) * kMotors, count, kMotors, held);
+            loaded.plant.command(held, driven);
+            loaded.plant.derivative(x, driven, S(0.0), dx, in);
+            for (int i = 0; i < kStates; ++i) {
+                for (int k = 0; k < count; ++k) {
+                    derivative[static_cast<long>(first + k) * kStates + i] = lane(dx[i], k);
+                }
+            }
+        }
+    }
+
+    void innovations(const Recording& recording, const Track& track, const double* values,
+                     int count, double step_s, double* residuals) const override {
+        const Loaded loaded(values, count, total_parameters());
+        const long plane = static_cast<long>(recording.rows) * kOutputs;
+        S x[kStates], innovation[kOutputs], white[kOutputs], held[kMotors];
+        Internals in;
+        broadcast(recording.initial_state.data(), x, kStates);
+        for (long k = 0; k < recording.rows; ++k) {
+            const double t = recording.time_s[k];
+            innovate(loaded.plant, &recording.output[k * kOutputs], S(t), x, innovation);
+            correct(&track.gain[k * kStates * kOutputs], innovation, x);
+            const double* w = &track.whitening[k * kOutputs * kOutputs];
+            for (int i = 0; i < kOutputs; ++i) {
+                white[i] = S(0.0);
+                for (int j = 0; j <= i; ++j) {
+                    white[i] = white[i] + S(w[i * kOutputs + j]) * innovation[j];
+                }
+            }
+            scatter(white, count, plane, residuals + k * kOutputs);
+            if (k + 1 == recording.rows) break;
+            broadcast(&recording.command[k * kMotors], held, kMotors);
+            advance(loaded.plant, x, held, t, recording.time_s[k + 1] - t, step_s,
+                    loaded.rate_1_s, in);
+        }
+    }
+
+    void replays(const Recording& recording, const Track& track, const double* values, int count,
+                 double step_s, double window_s, double* errors) const override {
+        const Loaded loaded(values, count, total_parameters());
+        const long plane = static_cast<long>(recording.rows) * kOutputs;
+        S filtered[kStates], free[kStates], innovation[kOutputs], error[kOutputs], held[kMotors];
+        Internals in;
+        broadcast(recording.initial_state.data(), filtered, kStates);
+        double restart_s = recording.time_s[0] + kSettleTime_s;
+        broadcast(recording.initial_state.data(), free, kStates);
+        for (long k = 0; k < recording.rows; ++k) {
+            const double t = recording.time_s[k];
+            const double* measured = &recording.output[k * kOutputs];
+            innovate(loaded.plant, measured, S(t), free, error);
+            scatter(error, count, plane, errors + k * kOutputs);
+            innovate(loaded.plant, measured, S(t), filtered, innovation);
+            correct(&track.gain[k * kStates * kOutputs], innovation, filtered);
+            if (t >= restart_s) {
+                for (int i = 0; i < kStates; ++i) free[i] = filtered[i];
+                restart_s += window_s;
+            }
+            if (k + 1 == recording.rows) break;
+            broadcast(&recording.command[k * kMotors], held, kMotors);
+            const double duration_s = recording.time_s[k + 1] - t;
+            advance(loaded.plant, filtered, held, t, duration_s, step_s, loaded.rate_1_s, in);
+            advance(loaded.plant, free, held, t, duration_s, step_s, loaded.rate_1_s, in);
+        }
+    }
+
+private:
+    /* Lane 0 holds the state, lane j + 1 the state with component first + j moved by `probe`. */
+    static void seed(const double* state, int first, double probe, S* x) {
+        alignas(64) double spread[kLanes];
+        for (int i = 0; i < kStates; ++i) {
+            for (int j = 0; j < kLanes; ++j) {
+                spread[j] = state[i] + (j > 0 && first + j - 1 == i ? probe : 0.0);
+            }
+            x[i] = S::load_aligned(spread);
+        }
+    }
+};
+
+}  // namespace
+
+#define OMNISLIP_JOIN2(a, b) a##b
+#define OMNISLIP_JOIN(a, b) OMNISLIP_JOIN2(a, b)
+
+Kernel* OMNISLIP_JOIN(make_kernel_, OMNISLIP_ARCH)(int kind) {
+    using Arch = xsimd::OMNISLIP_ARCH;
+    if (kind == 0) return new KernelOf<RobotPlant, Arch>();
+    return new KernelOf<AxisPlant, Arch>();
+}
+
+}  // namespace omnislip

@@ -1,0 +1,562 @@
+/* robot_plant.h - the four-wheeled robot with slip: seven degrees of freedom, eqs. (6)-(13).
+ *
+ * State x (14): W_i shaft speed [rad/s], a_i encoder angle [rad], i = 1..4; body velocity of the
+ * wheel centre (vx, vy, w) in the body frame; world pose (x, y, theta).
+ *
+ *   bus       V = V0 - r sum(i_j d_j)                          (r = 0: V = V0)
+ *   current   i = (d V - k3 W) / Ra                                                     (8)
+ *   shaft     J0 dW/dt = k2 i - b0 W + effects - (R/n) fT                                (7)
+ *   contact   s = R W / n - VT;  fT = N mu_T (2/pi) atan(k s)                           (13)
+ *             fF = -N mu_F (2/pi) atan(k VF)
+ *             VT, VF: hub velocity along the drive direction d_i and roller direction r_i
+ *   body      m (a_O + w' x c - w^2 c) = sum(fT d_i + fF r_i) + external force           (4)
+ *             Iz w' = moment about the centre of gravity c
+ *             dvx/dt = a_Ox + w vy,  dvy/dt = a_Oy - w vx
+ *   world     (x, y)' = T(theta) (vx, vy), theta' = w                                    (2)
+ *
+ * Loads: N_i = m g / 4 + m g (x_i cx / sum x^2 + y_i cy / sum y^2) + diagonal bias
+ *              - m h (x_i ax / sum x^2 + y_i ay / sum y^2)
+ * (minimum-norm balance of four legs). With h > 0 the load depends on the acceleration and the
+ * acceleration on the load; both are linear, so a 2 x 2 system is solved instead of iterating.
+ *
+ * Effects enter through the hooks of effects.h; an effect at its neutral value is never called.
+ */
+#ifndef OMNISLIP_SIM_ROBOT_PLANT_H
+#define OMNISLIP_SIM_ROBOT_PLANT_H
+
+#include "effects.h"
+
+namespace omnislip {
+
+struct BaseParameter {
+    const char* name;
+    const char* unit;
+    double value;
+};
+
+/* The believed robot: keys of robot.toml with the nominal robot's values. */
+constexpr BaseParameter kRobotBase[] = {
+    {"robot.mass_kg", "kg", 20.0},
+    {"robot.inertia_kg_m2", "kg m^2", 0.55},
+    {"robot.wheel_radius_m", "m", 0.05},
+    {"robot.wheel_distance_m", "m", 0.20},
+    {"robot.wheel_angles_deg[0]", "deg", 30.0},
+    {"robot.wheel_angles_deg[1]", "deg", 150.0},
+    {"robot.wheel_angles_deg[2]", "deg", 210.0},
+    {"robot.wheel_angles_deg[3]", "deg", 330.0},
+    {"motor.resistance_ohm", "ohm", 0.6},
+    {"motor.torque_constant_nm_a", "N m/A", 0.0255},
+    {"motor.back_emf_constant_v_s_rad", "V s/rad", 0.0255},
+    {"motor.gear_ratio", "1", 12.0},
+    {"motor.inertia_kg_m2", "kg m^2", 2.5e-5},
+    {"motor.viscous_friction_nm_s", "N m s", 1.5e-5},
+    {"motor.supply_v", "V", 24.0},
+    {"contact.mu_drive", "1", 0.6},
+    {"contact.mu_roller", "1", 0.05},
+    {"contact.slip_stiffness_s_m", "s/m", 40.0},
+    {"contact.gravity_m_s2", "m/s^2", 9.81},
+    {"encoder.counts_per_rev", "1", 2000.0},
+};
+
+struct RobotLayout {
+    static constexpr int kMotors = 4;
+    static constexpr int kStates = 14;
+    static constexpr int kOutputs = 8; /* encoder angles 4, gyro, x, y, theta */
+    static constexpr int kBase = static_cast<int>(sizeof(kRobotBase) / sizeof(kRobotBase[0]));
+    static constexpr Kind kKind = kRobot;
+    enum StateIndex { kSpeed = 0, kAngle = 4, kVelocity = 8, kPose = 11 };
+};
+
+/* What the plant does inside a step, for logs, pictures and tests. */
+template <class S>
+struct RobotInternals {
+    S bus_v;
+    S current_a[4], motor_torque_nm[4], friction_torque_nm[4];
+    S load_n[4], slip_m_s[4], drive_force_n[4], roller_force_n[4], roller_speed_m_s[4];
+    S hub_speed_m_s[4];
+    S external_force_x_n, external_force_y_n, external_torque_nm;
+};
+
+template <class S>
+class RobotPlant : public RobotLayout {
+public:
+    /* `flat`: base parameters, then effect slots; `active`: one flag per effect. */
+    void prepare(const S* flat, const bool* active) {
+        effects_ = flat + kBase;
+        hooks_ = 0;
+        for (int i = 0; i < kEffectCount; ++i) active_[i] = active[i];
+        load_base(flat);
+        for_each_effect(kMotors, [&](auto effect, int index, int slot) {
+            using E = decltype(effect);
+            if (!active_[index]) return;
+            hooks_ |= E::info.hooks;
+            E::prepare(c_, values<E>(slot));
+        });
+        derive_geometry();
+    }
+
+    /* Duty as it leaves the driver, once per interval of constant duty. */
+    void command(const S* duty, S* driven) const {
+        CommandTerm<S, 4> term;
+        for (int i = 0; i < 4; ++i) term.duty[i] = duty[i];
+        apply(kCommand, [&](auto effect, int slot) {
+            using E = decltype(effect);
+            E::command(term, values<E>(slot));
+        });
+        for (int i = 0; i < 4; ++i) driven[i] = term.duty[i];
+    }
+
+    void derivative(const S* x, const S* driven, const S& time_s, S* dx,
+                    RobotInternals<S>& in) const {
+        using std::cos;
+        using std::sin;
+        const S* speed = x + kSpeed;
+        const S& vx = x[kVelocity];
+        const S& vy = x[kVelocity + 1];
+        const S& omega = x[kVelocity + 2];
+        const S cos_theta = cos(x[kPose + 2]);
+        const S sin_theta = sin(x[kPose + 2]);
+
+        motor(x, driven, time_s, in);
+        S traction_per_load[4]; /* fT / N */
+        S radius_m[4];
+        contact(x, time_s, in, traction_per_load, radius_m);
+        BodyTerm<S, 4> external = outside(x, cos_theta, sin_theta, in);
+        body(x, in, traction_per_load, external, dx);
+
+        for (int i = 0; i < 4; ++i) {
+            const S torque = in.motor_torque_nm[i] + in.friction_torque_nm[i] -
+                             radius_m[i] / c_.gear_ratio * in.drive_force_n[i];
+            dx[kSpeed + i] = torque / c_.shaft_inertia_kg_m2[i];
+            dx[kAngle + i] = speed[i];
+        }
+        if (hooks_ & kSensor) scale_encoders(x, time_s, dx);
+        dx[kPose] = cos_theta * vx - sin_theta * vy;
+        dx[kPose + 1] = sin_theta * vx + cos_theta * vy;
+        dx[kPose + 2] = omega;
+    }
+
+    /* What the sensors show in state x: encoder angles [rad], gyro [rad/s], camera pose. */
+    void output(const S* x, const S& time_s, S* y) const {
+        for (int i = 0; i < 4; ++i) y[i] = x[kAngle + i];
+        if (!(hooks_ & kSensor)) {
+            y[4] = x[kVelocity + 2];
+            for (int i = 0; i < 3; ++i) y[5 + i] = x[kPose + i];
+            return;
+        }
+        const SensorTerm<S, 4> term = sensors(x, time_s);
+        y[4] = term.gyro_rad_s;
+        y[5] = term.x_m;
+        y[6] = term.y_m;
+        y[7] = term.theta_rad;
+    }
+
+    /* Bound on the fastest rate of the linearised plant [1/s]; the step is chosen from it. */
+    double fastest_rate_1_s() const {
+        using std::max;
+        S rate = S(0.0);
+        const S stiffness = S(2.0 / kPi) * c_.slip_stiffness_s_m;
+        for (int i = 0; i < 4; ++i) {
+            const S damping = static_load_n_[i] * c_.mu_drive[i] * stiffness;
+            const S ratio = c_.wheel_radius_m[i] / c_.gear_ratio;
+            const S shaft =
+                damping * ratio * ratio +
+                c_.torque_constant_nm_a[i] * c_.back_emf_constant_v_s_rad[i] / c_.resistance_ohm +
+                c_.viscous_friction_nm_s[i] + shaft_damping_[i];
+            const S body = S(4.0) * damping / c_.mass_kg;
+            rate = max(rate, shaft / c_.shaft_inertia_kg_m2[i] + body);
+        }
+        double worst = 0.0;
+        for (int i = 0; i < LaneCount<S>::value; ++i) worst = std::max(worst, lane(rate, i));
+        return worst;
+    }
+
+    const Constants<S, 4>& constants() const { return c_; }
+
+private:
+    template <class E>
+    Values<S> values(int slot) const {
+        return {effects_ + slot, effect_stride(E::info, kMotors)};
+    }
+
+    /* `action(effect, slot)` for the active effects that use `hook`. */
+    template <class Action>
+    void apply(unsigned hook, Action&& action) const {
+        if (!(hooks_ & hook)) return;
+        for_each_effect(kMotors, [&](auto effect, int index, int slot) {
+            if ((decltype(effect)::info.hooks & hook) && active_[index]) action(effect, slot);
+        });
+    }
+
+    void load_base(const S* p) {
+        c_.mass_kg = p[0];
+        c_.inertia_kg_m2 = p[1];
+        c_.wheel_distance_m = p[3];
+        c_.resistance_ohm = p[8];
+        c_.gear_ratio = p[11];
+        c_.supply_v = p[14];
+        c_.mu_roller = p[16];
+        c_.slip_stiffness_s_m = p[17];
+        c_.gravity_m_s2 = p[18];
+        c_.cog_x_m = c_.cog_y_m = c_.cog_height_m = S(0.0);
+        c_.source_resistance_ohm = S(0.0);
+        c_.friction_speed = S(2.0);
+        for (int i = 0; i < 4; ++i) {
+            c_.wheel_radius_m[i] = p[2];
+            c_.wheel_angle_rad[i] = p[4 + i] * S(kPi / 180.0);
+            c_.roller_angle_offset_rad[i] = S(0.0);
+            c_.torque_constant_nm_a[i] = p[9];
+            c_.back_emf_constant_v_s_rad[i] = p[10];
+            c_.shaft_inertia_kg_m2[i] = p[12];
+            c_.viscous_friction_nm_s[i] = p[13];
+            c_.mu_drive[i] = p[15];
+            c_.load_bias_n[i] = S(0.0);
+        }
+    }
+
+    void derive_geometry() {
+        using std::cos;
+        using std::sin;
+        S sum_xx = S(0.0), sum_yy = S(0.0);
+        for (int i = 0; i < 4; ++i) {
+            wheel_x_[i] = c_.wheel_distance_m * cos(c_.wheel_angle_rad[i]);
+            wheel_y_[i] = c_.wheel_distance_m * sin(c_.wheel_angle_rad[i]);
+            sum_xx = sum_xx + wheel_x_[i] * wheel_x_[i];
+            sum_yy = sum_yy + wheel_y_[i] * wheel_y_[i];
+            const S direction = c_.wheel_angle_rad[i] + c_.roller_angle_offset_rad[i];
+            drive_x_[i] = -sin(direction);
+            drive_y_[i] = cos(direction);
+            drive_lever_[i] = wheel_x_[i] * drive_y_[i] - wheel_y_[i] * drive_x_[i];
+            roller_lever_[i] = wheel_x_[i] * -drive_x_[i] - wheel_y_[i] * drive_y_[i];
+        }
+        const S weight = c_.mass_kg * c_.gravity_m_s2;
+        for (int i = 0; i < 4; ++i) {
+            leg_x_[i] = wheel_x_[i] / sum_xx;
+            leg_y_[i] = wheel_y_[i] / sum_yy;
+            static_load_n_[i] = weight * (S(0.25) + leg_x_[i] * c_.cog_x_m + leg_y_[i] * c_.cog_y_m) +
+                                c_.load_bias_n[i];
+            shaft_damping_[i] = S(0.0);
+        }
+        estimate_shaft_damping();
+        load_moves_ = false;
+        for (int i = 0; i < LaneCount<S>::value; ++i) {
+            load_moves_ = load_moves_ || lane(c_.cog_height_m, i) != 0.0;
+        }
+    }
+
+    /* Slope of the effects' shaft torques at standstill: the stiffness of smoothed dry friction. */
+    void estimate_shaft_damping() {
+        if (!(hooks_ & kShaft)) return;
+        const S probe = S(1e-3) * c_.friction_speed;
+        S speed[4], angle[4], torque[4];
+        for (int i = 0; i < 4; ++i) {
+            speed[i] = probe;
+            angle[i] = S(0.0);
+            torque[i] = c_.torque_constant_nm_a[i] * c_.supply_v / c_.resistance_ohm;
+        }
+        ShaftTerm<S, 4> at_rest = friction(speed, angle, torque);
+        for (int i = 0; i < 4; ++i) speed[i] = S(0.0);
+        const ShaftTerm<S, 4> at_zero = friction(speed, angle, torque);
+        using std::max;
+        for (int i = 0; i < 4; ++i) {
+            shaft_damping_[i] =
+                max((at_zero.torque_nm[i] - at_rest.torque_nm[i]) / probe, S(0.0));
+        }
+    }
+
+    ShaftTerm<S, 4> friction(const S* speed, const S* angle, const S* motor_torque) const {
+        using std::tanh;
+        ShaftTerm<S, 4> term;
+        term.speed_rad_s = speed;
+        term.angle_rad = angle;
+        term.motor_torque_nm = motor_torque;
+        for (int i = 0; i < 4; ++i) {
+            term.torque_nm[i] = S(0.0);
+            term.sign[i] = tanh(speed[i] / c_.friction_speed);
+        }
+        apply(kShaft, [&](auto effect, int slot) {
+            using E = decltype(effect);
+            E::shaft(term, values<E>(slot));
+        });
+        return term;
+    }
+
+    /* Bus voltage, currents (8) and shaft torques (7). */
+    void motor(const S* x, const S* driven, const S& time_s, RobotInternals<S>& in) const {
+        const S* speed = x + kSpeed;
+        SupplyTerm<S> supply{c_.supply_v, time_s};
+        apply(kSupply, [&](auto effect, int slot) {
+            using E = decltype(effect);
+            E::supply(supply, values<E>(slot));
+        });
+        balance_bus(speed, driven, supply.open_circuit_v, in);
+        for (int i = 0; i < 4; ++i) {
+            in.motor_torque_nm[i] = c_.torque_constant_nm_a[i] * in.current_a[i];
+            in.friction_torque_nm[i] = -c_.viscous_friction_nm_s[i] * speed[i];
+        }
+        if (hooks_ & kShaft) {
+            const ShaftTerm<S, 4> term = friction(speed, x + kAngle, in.motor_torque_nm);
+            for (int i = 0; i < 4; ++i) {
+                in.friction_torque_nm[i] = in.friction_torque_nm[i] + term.torque_nm[i];
+            }
+        }
+    }
+
+    /* V = V0 - r sum(i d) with i linear in V has a closed form. A limit or a freewheeling driver
+     * bends i(V): then the currents that flow replace the linear ones and V follows, three passes. */
+    void balance_bus(const S* speed, const S* driven, const S& open_circuit_v,
+                     RobotInternals<S>& in) const {
+        const S& r = c_.source_resistance_ohm;
+        S conductance = S(0.0), emf_current = S(0.0);
+        for (int i = 0; i < 4; ++i) {
+            conductance = conductance + driven[i] * driven[i] / c_.resistance_ohm;
+            emf_current = emf_current + driven[i] * c_.back_emf_constant_v_s_rad[i] * speed[i] /
+                                            c_.resistance_ohm;
+        }
+        in.bus_v = (open_circuit_v + r * emf_current) / (S(1.0) + r * conductance);
+        armature(speed, driven, in);
+        if (!(hooks_ & kCurrent)) return;
+        S linear[4];
+        for (int pass = 0;; ++pass) {
+            S shortfall = S(0.0);
+            for (int i = 0; i < 4; ++i) linear[i] = in.current_a[i];
+            limit_currents(speed, driven, in);
+            if (pass == 3) return;
+            for (int i = 0; i < 4; ++i) {
+                shortfall = shortfall + (linear[i] - in.current_a[i]) * driven[i];
+            }
+            in.bus_v = (open_circuit_v + r * (emf_current + shortfall)) / (S(1.0) + r * conductance);
+            armature(speed, driven, in);
+        }
+    }
+
+    void armature(const S* speed, const S* driven, RobotInternals<S>& in) const {
+        for (int i = 0; i < 4; ++i) {
+            in.current_a[i] =
+                (driven[i] * in.bus_v - c_.back_emf_constant_v_s_rad[i] * speed[i]) /
+                c_.resistance_ohm;
+        }
+    }
+
+    void limit_currents(const S* speed, const S* driven, RobotInternals<S>& in) const {
+        CurrentTerm<S, 4> term;
+        term.duty = driven;
+        term.speed_rad_s = speed;
+        for (int i = 0; i < 4; ++i) term.current_a[i] = in.current_a[i];
+        apply(kCurrent, [&](auto effect, int slot) {
+            using E = decltype(effect);
+            E::current(term, values<E>(slot));
+        });
+        for (int i = 0; i < 4; ++i) in.current_a[i] = term.current_a[i];
+    }
+
+    /* Slip and friction law (11)-(13), per unit of wheel load. */
+    void contact(const S* x, const S& time_s, RobotInternals<S>& in, S* traction_per_load,
+                 S* radius_m) const {
+        using std::atan;
+        const S& vx = x[kVelocity];
+        const S& vy = x[kVelocity + 1];
+        const S& omega = x[kVelocity + 2];
+        const S& k = c_.slip_stiffness_s_m;
+        S mu[4], shape[4], roller_shape[4], force_scale[4];
+        for (int i = 0; i < 4; ++i) {
+            radius_m[i] = c_.wheel_radius_m[i];
+            mu[i] = c_.mu_drive[i];
+            force_scale[i] = S(1.0);
+            in.hub_speed_m_s[i] = drive_x_[i] * vx + drive_y_[i] * vy + drive_lever_[i] * omega;
+            in.roller_speed_m_s[i] = drive_y_[i] * vx - drive_x_[i] * vy + roller_lever_[i] * omega;
+        }
+        if (hooks_ & kContact) {
+            contact_effects(x, time_s, in, mu, radius_m, shape, roller_shape, force_scale);
+        } else {
+            for (int i = 0; i < 4; ++i) {
+                in.slip_m_s[i] = radius_m[i] * x[kSpeed + i] / c_.gear_ratio - in.hub_speed_m_s[i];
+                shape[i] = S(2.0 / kPi) * atan(k * in.slip_m_s[i]);
+                roller_shape[i] = S(2.0 / kPi) * atan(k * in.roller_speed_m_s[i]);
+            }
+        }
+        for (int i = 0; i < 4; ++i) {
+            traction_per_load[i] = mu[i] * shape[i] * force_scale[i];
+            in.roller_force_n[i] = -c_.mu_roller * roller_shape[i];
+        }
+    }
+
+    void contact_effects(const S* x, const S& time_s, RobotInternals<S>& in, S* mu, S* radius_m,
+                         S* shape, S* roller_shape, S* force_scale) const {
+        using std::atan;
+        ContactTerm<S, 4> term;
+        term.shaft_angle_rad = x + kAngle;
+        term.x_m = x[kPose];
+        term.y_m = x[kPose + 1];
+        term.time_s = time_s;
+        term.gear_ratio = c_.gear_ratio;
+        for (int i = 0; i < 4; ++i) {
+            term.mu_drive[i] = mu[i];
+            term.radius_m[i] = radius_m[i];
+            term.force_scale[i] = force_scale[i];
+            term.drive_direction_rad[i] = x[kPose + 2] + c_.wheel_angle_rad[i] +
+                                          c_.roller_angle_offset_rad[i] + S(kPi / 2.0);
+            term.slip_m_s[i] = radius_m[i] * x[kSpeed + i] / c_.gear_ratio - in.hub_speed_m_s[i];
+        }
+        eccentric_radius(term);
+        for (int i = 0; i < 4; ++i) {
+            term.slip_m_s[i] =
+                term.radius_m[i] * x[kSpeed + i] / c_.gear_ratio - in.hub_speed_m_s[i];
+            term.scaled_slip[i] = c_.slip_stiffness_s_m * term.slip_m_s[i];
+            term.shape[i] = S(2.0 / kPi) * atan(term.scaled_slip[i]);
+            term.scaled_roller[i] = c_.slip_stiffness_s_m * in.roller_speed_m_s[i];
+            term.roller_shape[i] = S(2.0 / kPi) * atan(term.scaled_roller[i]);
+        }
+        apply(kContact, [&](auto effect, int slot) {
+            using E = decltype(effect);
+            if constexpr (!std::is_same<E, WheelEccentricity>::value) {
+                E::contact(term, values<E>(slot));
+            }
+        });
+        for (int i = 0; i < 4; ++i) {
+            mu[i] = term.mu_drive[i];
+            radius_m[i] = term.radius_m[i];
+            shape[i] = term.shape[i];
+            roller_shape[i] = term.roller_shape[i];
+            force_scale[i] = term.force_scale[i];
+            in.slip_m_s[i] = term.slip_m_s[i];
+        }
+    }
+
+    /* The radius has to be known before the slip, the other contact effects need the slip. */
+    void eccentric_radius(ContactTerm<S, 4>& term) const {
+        apply(kContact, [&](auto effect, int slot) {
+            using E = decltype(effect);
+            if constexpr (std::is_same<E, WheelEccentricity>::value) {
+                E::contact(term, values<E>(slot));
+            }
+        });
+    }
+
+    /* Forces from outside at the centre of gravity, and rolling resistance per load. */
+    BodyTerm<S, 4> outside(const S* x, const S& cos_theta, const S& sin_theta,
+                           const RobotInternals<S>& in) const {
+        BodyTerm<S, 4> term;
+        term.force_x_n = term.force_y_n = term.torque_nm = S(0.0);
+        term.acceleration_x_m_s2 = term.acceleration_y_m_s2 = S(0.0);
+        for (int i = 0; i < 4; ++i) term.force_along_drive_per_load[i] = S(0.0);
+        if (!(hooks_ & kBody)) return term;
+        for (int i = 0; i < 4; ++i) term.hub_speed_m_s[i] = in.hub_speed_m_s[i];
+        term.vx_m_s = x[kVelocity];
+        term.vy_m_s = x[kVelocity + 1];
+        term.omega_rad_s = x[kVelocity + 2];
+        term.x_m = x[kPose];
+        term.y_m = x[kPose + 1];
+        term.cos_theta = cos_theta;
+        term.sin_theta = sin_theta;
+        apply(kBody, [&](auto effect, int slot) {
+            using E = decltype(effect);
+            E::body(term, values<E>(slot));
+        });
+        const S& ax = term.acceleration_x_m_s2;
+        const S& ay = term.acceleration_y_m_s2;
+        term.force_x_n = term.force_x_n + c_.mass_kg * (cos_theta * ax + sin_theta * ay);
+        term.force_y_n = term.force_y_n + c_.mass_kg * (cos_theta * ay - sin_theta * ax);
+        return term;
+    }
+
+    /* Wheel loads, contact forces and the body's acceleration (4). */
+    void body(const S* x, RobotInternals<S>& in, const S* traction_per_load,
+              const BodyTerm<S, 4>& external, S* dx) const {
+        S along[4];
+        for (int i = 0; i < 4; ++i) {
+            along[i] = traction_per_load[i] + external.force_along_drive_per_load[i];
+            in.load_n[i] = static_load_n_[i];
+        }
+        if (load_moves_) transfer_load(in, along, external);
+        S fx = S(0.0), fy = S(0.0), moment = S(0.0);
+        for (int i = 0; i < 4; ++i) {
+            const S drive = in.load_n[i] * along[i];
+            in.drive_force_n[i] = in.load_n[i] * traction_per_load[i];
+            in.roller_force_n[i] = in.load_n[i] * in.roller_force_n[i];
+            fx = fx + drive * drive_x_[i] + in.roller_force_n[i] * drive_y_[i];
+            fy = fy + drive * drive_y_[i] - in.roller_force_n[i] * drive_x_[i];
+            moment = moment + drive * drive_lever_[i] + in.roller_force_n[i] * roller_lever_[i];
+        }
+        moment = moment - (c_.cog_x_m * fy - c_.cog_y_m * fx) + external.torque_nm;
+        fx = fx + external.force_x_n;
+        fy = fy + external.force_y_n;
+        in.external_force_x_n = external.force_x_n;
+        in.external_force_y_n = external.force_y_n;
+        in.external_torque_nm = external.torque_nm;
+
+        const S& omega = x[kVelocity + 2];
+        const S alpha = moment / c_.inertia_kg_m2;
+        const S omega2 = omega * omega;
+        dx[kVelocity] = fx / c_.mass_kg + alpha * c_.cog_y_m + omega2 * c_.cog_x_m +
+                        omega * x[kVelocity + 1];
+        dx[kVelocity + 1] =
+            fy / c_.mass_kg - alpha * c_.cog_x_m + omega2 * c_.cog_y_m - omega * x[kVelocity];
+        dx[kVelocity + 2] = alpha;
+    }
+
+    /* N = N0 - m h (leg_x ax + leg_y ay) with m a = F_ext + sum(N_i g_i), solved for a (2 x 2). The
+     * gravity-like part of F_ext (a slope) does not move load: it acts on the whole weight. */
+    void transfer_load(RobotInternals<S>& in, const S* along,
+                       const BodyTerm<S, 4>& external) const {
+        const S& h = c_.cog_height_m;
+        S fx = external.force_x_n, fy = external.force_y_n;
+        S axx = S(1.0), axy = S(0.0), ayx = S(0.0), ayy = S(1.0);
+        for (int i = 0; i < 4; ++i) {
+            const S gx = along[i] * drive_x_[i] + in.roller_force_n[i] * drive_y_[i];
+            const S gy = along[i] * drive_y_[i] - in.roller_force_n[i] * drive_x_[i];
+            fx = fx + static_load_n_[i] * gx;
+            fy = fy + static_load_n_[i] * gy;
+            axx = axx + h * leg_x_[i] * gx;
+            axy = axy + h * leg_y_[i] * gx;
+            ayx = ayx + h * leg_x_[i] * gy;
+            ayy = ayy + h * leg_y_[i] * gy;
+        }
+        const S determinant = axx * ayy - axy * ayx;
+        const S ax = (ayy * fx - axy * fy) / determinant; /* times m */
+        const S ay = (axx * fy - ayx * fx) / determinant;
+        for (int i = 0; i < 4; ++i) {
+            in.load_n[i] = static_load_n_[i] - h * (leg_x_[i] * ax + leg_y_[i] * ay);
+        }
+    }
+
+    SensorTerm<S, 4> sensors(const S* x, const S& time_s) const {
+        using std::cos;
+        using std::sin;
+        SensorTerm<S, 4> term;
+        const S cos_theta = cos(x[kPose + 2]);
+        const S sin_theta = sin(x[kPose + 2]);
+        term.gyro_rad_s = x[kVelocity + 2];
+        term.x_m = x[kPose];
+        term.y_m = x[kPose + 1];
+        term.theta_rad = x[kPose + 2];
+        term.world_vx_m_s = cos_theta * x[kVelocity] - sin_theta * x[kVelocity + 1];
+        term.world_vy_m_s = sin_theta * x[kVelocity] + cos_theta * x[kVelocity + 1];
+        term.omega_rad_s = x[kVelocity + 2];
+        term.time_s = time_s;
+        term.speed_rad_s = x + kSpeed;
+        for (int i = 0; i < 4; ++i) term.encoder_rate[i] = S(1.0);
+        apply(kSensor, [&](auto effect, int slot) {
+            using E = decltype(effect);
+            E::sensor(term, values<E>(slot));
+        });
+        return term;
+    }
+
+    void scale_encoders(const S* x, const S& time_s, S* dx) const {
+        const SensorTerm<S, 4> term = sensors(x, time_s);
+        for (int i = 0; i < 4; ++i) dx[kAngle + i] = dx[kAngle + i] * term.encoder_rate[i];
+    }
+
+    Constants<S, 4> c_;
+    S wheel_x_[4], wheel_y_[4], leg_x_[4], leg_y_[4], static_load_n_[4], shaft_damping_[4];
+    S drive_x_[4], drive_y_[4], drive_lever_[4], roller_lever_[4];
+    const S* effects_ = nullptr;
+    bool active_[kEffectCount] = {};
+    unsigned hooks_ = 0;
+    bool load_moves_ = false;
+};
+
+}  // namespace omnislip
+
+#endif

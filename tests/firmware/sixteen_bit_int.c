@@ -1,0 +1,95 @@
+/* A checksum over 600 ticks of the whole firmware, to be equal on machines with 32-bit and 16-bit
+ * int.
+ *
+ * Integer promotion differs between the two, and a product that lacks its widening cast differs
+ * with it. On the PC it prints the checksum; on the 16-bit machine (AVR, run in a simulator) it
+ * sends it to the serial port. The inputs are pseudo-random counter steps and supplies, a velocity
+ * and a pose command.
+ */
+#include "firmware/control_loop.h"
+#include "hal/hal.h"
+
+static u32 seed = 1;
+static u32 checksum = 0;
+static u16 counter[WHEEL_COUNT];
+
+static u16 next_random(void) {
+    seed = seed * (u32)1664525 + (u32)1013904223;
+    return (u16)(seed >> 16);
+}
+
+static void mix(u32 value) {
+    checksum = (checksum << 5) + (checksum >> 27) + value;
+}
+
+void hal_read_encoder_counts(u16 counts[4]) {
+    u16 i;
+    for (i = 0; i < WHEEL_COUNT; i++) {
+        counter[i] = (u16)(counter[i] + next_random() % 80U - 20U);
+        counts[i] = counter[i];
+    }
+}
+
+u16 hal_read_supply_mv(void) {
+    return (u16)(20000U + next_random() % 8000U);
+}
+
+void hal_write_duty(const i16 duty_q15[4]) {
+    u16 i;
+    for (i = 0; i < WHEEL_COUNT; i++)
+        mix((u16)duty_q15[i]);
+}
+
+static u32 run(void) {
+    static parameters p;
+    static control_loop loop;
+    const odometry_pose goal = {8192000L, -3000000L, 9000000L};
+    const kinematics_velocity arrival = {1000, -500, 300};
+    i16 tick;
+    parameters_set_defaults(&p);
+    control_loop_init(&loop, &p);
+    for (tick = 0; tick < 600; tick++) {
+        if (tick >= 300) {
+            control_loop_command_pose(&loop, &goal, &arrival);
+        } else if (tick % 50 == 0) {
+            control_loop_command_velocity(&loop, (i16)(1500 - 5 * tick), (i16)(3 * tick), -2000);
+        }
+        control_loop_tick(&loop);
+        mix((u32)loop.telemetry.pose.x_mm_q13);
+        mix((u32)loop.telemetry.pose.theta_mrad_q13);
+        mix((u32)loop.target.position_q13[1]);
+        mix((u16)loop.telemetry.slip_m_s_q13[2]);
+    }
+    return checksum;
+}
+
+#ifdef __AVR__
+#include <avr/interrupt.h>
+#include <avr/io.h>
+#include <avr/sleep.h>
+
+static void send(u16 character) {
+    UDR0 = (uint8_t)character;
+    while (!(UCSR0A & (1 << UDRE0)))
+        continue;
+}
+
+int main(void) {
+    const u32 sum = run();
+    u16 digit;
+    UCSR0B = 1 << TXEN0;
+    for (digit = 8; digit > 0; digit--)
+        send((u16) "0123456789abcdef"[sum >> (4 * digit - 4) & 15U]);
+    send('\n');
+    cli();
+    sleep_mode(); /* sleeping with interrupts off ends the simulator */
+    return 0;
+}
+#else
+#include <stdio.h>
+
+int main(void) {
+    printf("%08lx\n", (unsigned long)run());
+    return 0;
+}
+#endif

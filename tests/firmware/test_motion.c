@@ -1,0 +1,310 @@
+/* Odometry, traction limit and trajectory against closed forms. */
+#include <stdlib.h>
+#include <unity.h>
+
+#include "firmware/odometry.h"
+#include "firmware/traction.h"
+#include "firmware/trajectory.h"
+#include "tests/firmware/reference.h"
+
+static parameters p;
+
+static const odometry_pose origin = {0, 0, 0};
+static const kinematics_velocity still = {0, 0, 0};
+
+void setUp(void) {
+    parameters_set_defaults(&p);
+}
+
+void tearDown(void) {}
+
+/* ---- odometry ---- */
+
+static void a_straight_run_is_exact(void) {
+    odometry_pose pose = {0, 0, 0};
+    const kinematics_velocity v = {12288, -8192, 0};
+    for (int n = 0; n < 2000; n++)
+        odometry_step(&pose, &v);
+    /* 1.5 m/s and -1 m/s for 2 s; the cosine of 0 is one LSB short of 1 */
+    TEST_ASSERT_DOUBLE_WITHIN(0.5, 3000.0, pose.x_mm_q13 / 8192.0);
+    TEST_ASSERT_DOUBLE_WITHIN(0.5, -2000.0, pose.y_mm_q13 / 8192.0);
+    TEST_ASSERT_EQUAL_INT32(0, pose.theta_mrad_q13);
+}
+
+/* 2 rad/s for pi/2 s at 1 m/s: half a circle of radius 0.5 m, to the left or to the right. */
+static void half_a_circle_ends_beside_its_start(void) {
+    for (int direction = -1; direction <= 1; direction += 2) {
+        odometry_pose pose = {0, 0, 0};
+        const kinematics_velocity v = {8192, 0, (i16)(direction * 4096)};
+        for (int n = 0; n < 1571; n++)
+            odometry_step(&pose, &v);
+        /* 0.2 ms more than pi/2 s are 0.2 mm */
+        TEST_ASSERT_DOUBLE_WITHIN(0.1, -0.2, pose.x_mm_q13 / 8192.0);
+        TEST_ASSERT_DOUBLE_WITHIN(0.1, direction * 1000.0, pose.y_mm_q13 / 8192.0);
+    }
+}
+
+static void theta_wraps_in_both_directions(void) {
+    for (int direction = -1; direction <= 1; direction += 2) {
+        odometry_pose pose = {0, 0, 0};
+        const kinematics_velocity v = {0, 0, (i16)(direction * 4096)};
+        for (int n = 0; n < 3000; n++)
+            odometry_step(&pose, &v);
+        TEST_ASSERT_DOUBLE_WITHIN(0.01, direction * (6000.0 - 2000.0 * REFERENCE_PI),
+                                  pose.theta_mrad_q13 / 8192.0);
+    }
+}
+
+static void left_of_a_robot_that_looks_left_is_backward(void) {
+    odometry_pose pose = {0, 0, ODOMETRY_FULL_TURN_MRAD_Q13 / 4};
+    const kinematics_velocity v = {0, 8192, 0};
+    odometry_step(&pose, &v);
+    TEST_ASSERT_INT32_WITHIN(1, -8192, pose.x_mm_q13);
+    TEST_ASSERT_INT32_WITHIN(4, 0, pose.y_mm_q13);
+}
+
+static void the_position_saturates_instead_of_wrapping(void) {
+    odometry_pose pose = {(i32)I32_MAX - 100, 0, 0};
+    const kinematics_velocity v = {8192, 0, 0};
+    odometry_step(&pose, &v);
+    TEST_ASSERT_EQUAL_INT32(I32_MAX, pose.x_mm_q13);
+}
+
+/* ---- traction ---- */
+
+static void a_change_within_the_grip_passes_unchanged(void) {
+    /* 2 m/s2 forward: 20 N per wheel, below the limit of 20.6 N */
+    traction_change change = {{8389, 0, 0}};
+    TEST_ASSERT_EQUAL_UINT(0, traction_limit(&p, 0, &change));
+    TEST_ASSERT_EQUAL_INT32(8389, change.axis_q22[0]);
+}
+
+static void a_change_beyond_the_grip_keeps_its_direction(void) {
+    for (unsigned heading = 0; heading < 65536; heading += 999) {
+        traction_change change = {{40000, -20000, 10000}};
+        TEST_ASSERT_EQUAL_UINT(1, traction_limit(&p, (u16)heading, &change));
+        TEST_ASSERT_INT32_WITHIN(2, -change.axis_q22[0] / 2, change.axis_q22[1]);
+        TEST_ASSERT_INT32_WITHIN(2, change.axis_q22[0] / 4, change.axis_q22[2]);
+        TEST_ASSERT_GREATER_THAN_INT32(1000, change.axis_q22[0]);
+    }
+}
+
+static void the_limited_force_is_the_limit(void) {
+    traction_change change = {{40000, -20000, 10000}};
+    kinematics_force force;
+    i16 wheel[4];
+    int largest = 0;
+    traction_limit(&p, 5000, &change);
+    force = traction_inertia_force(&p, 5000, &change);
+    kinematics_wheel_forces(&p, &force, wheel);
+    for (int i = 0; i < 4; i++)
+        largest = abs(wheel[i]) > largest ? abs(wheel[i]) : largest;
+    /* one LSB of the acceleration is 1/1024 m/s2 * 10 kg = 2.5 LSB of the force */
+    TEST_ASSERT_INT_WITHIN(8, PARAMETER_GET(&p, traction_limit_q8), largest);
+}
+
+/* ---- trajectory ---- */
+
+typedef struct {
+    double speed_m_s, acceleration_m_s2, omega_rad_s;
+    int ticks;
+} extremes;
+
+static extremes run_to_arrival(trajectory *t) {
+    extremes most = {0.0, 0.0, 0.0, 0};
+    while (t->ticks_left > 0) {
+        const traction_change before = t->velocity;
+        double dx, dy;
+        trajectory_step_to_pose(t);
+        dx = t->velocity.axis_q22[0] - before.axis_q22[0];
+        dy = t->velocity.axis_q22[1] - before.axis_q22[1];
+        most.acceleration_m_s2 = fmax(most.acceleration_m_s2, hypot(dx, dy) / 4194.304);
+        most.speed_m_s = fmax(most.speed_m_s,
+                              hypot(t->velocity.axis_q22[0], t->velocity.axis_q22[1]) / 4194304.0);
+        most.omega_rad_s = fmax(most.omega_rad_s, fabs(t->velocity.axis_q22[2] / 4194304.0));
+        most.ticks++;
+    }
+    return most;
+}
+
+static void arrival_is_exact_with_the_velocity_asked_for(void) {
+    const odometry_pose goal = {12345678, -7654321, 10000000};
+    const kinematics_velocity arrival = {4000, 2000, -1000};
+    trajectory t;
+    trajectory_start(&t, &origin, &still);
+    TEST_ASSERT_EQUAL(TRAJECTORY_OK, trajectory_plan(&t, &p, &goal, &arrival));
+    run_to_arrival(&t);
+    TEST_ASSERT_EQUAL_INT32(goal.x_mm_q13, t.position_q13[0]);
+    TEST_ASSERT_EQUAL_INT32(goal.y_mm_q13, t.position_q13[1]);
+    TEST_ASSERT_EQUAL_INT32(goal.theta_mrad_q13, t.position_q13[2]);
+    TEST_ASSERT_EQUAL_INT32(4000 * 512, t.velocity.axis_q22[0]);
+    TEST_ASSERT_EQUAL_INT32(-1000 * 2048, t.velocity.axis_q22[2]);
+}
+
+static void short_move_takes_the_time_of_the_acceleration_limit(void) {
+    /* cubic from rest to rest: a = 6 D / T^2, so 0.5 m at 1.4717 m/s2 take 1.4278 s */
+    const odometry_pose goal = {4096000, 0, 0};
+    trajectory t;
+    extremes most;
+    trajectory_start(&t, &origin, &still);
+    trajectory_plan(&t, &p, &goal, &still);
+    most = run_to_arrival(&t);
+    TEST_ASSERT_INT_WITHIN(25, 1428 + 13, most.ticks);
+    TEST_ASSERT_DOUBLE_WITHIN(0.05, 1.45, most.acceleration_m_s2);
+}
+
+/* At a quarter of the time 3/16 - 2/64 = 10/64 of the way is done, at half of it half. Changes of
+ * speed are cut off by up to one unit, 2^-22 mm per tick, which n ticks can add up to n^2 / 2^23
+ * mm: 27 um at a quarter. */
+static void the_way_is_on_the_cubic(void) {
+    const odometry_pose goal = {8192000, -4096000, 0};
+    trajectory t;
+    int ticks;
+    trajectory_start(&t, &origin, &still);
+    trajectory_plan(&t, &p, &goal, &still);
+    ticks = t.ticks_left;
+    t.ticks_left = (u16)(ticks -= ticks % 4);
+    for (int n = 0; n < ticks / 4; n++)
+        trajectory_step_to_pose(&t);
+    TEST_ASSERT_INT32_WITHIN(220, 1280000, t.position_q13[0]);
+    TEST_ASSERT_INT32_WITHIN(220, -640000, t.position_q13[1]);
+    for (int n = 0; n < ticks / 4; n++)
+        trajectory_step_to_pose(&t);
+    TEST_ASSERT_INT32_WITHIN(880, 4096000, t.position_q13[0]);
+}
+
+static void long_move_takes_the_time_of_the_speed_limit(void) {
+    /* the largest speed of a cubic from rest to rest is 1.5 D / T: 15 m at 2.353 m/s take 9.56 s */
+    const odometry_pose goal = {122880000, 0, 0};
+    trajectory t;
+    extremes most;
+    trajectory_start(&t, &origin, &still);
+    trajectory_plan(&t, &p, &goal, &still);
+    most = run_to_arrival(&t);
+    TEST_ASSERT_INT_WITHIN(150, 9563 + 75, most.ticks);
+    TEST_ASSERT_DOUBLE_WITHIN(0.05, 2.33, most.speed_m_s);
+}
+
+static odometry_pose random_pose(uint64_t *seed) {
+    odometry_pose pose;
+    pose.x_mm_q13 = (i32)reference_random(seed) / 100;
+    pose.y_mm_q13 = (i32)reference_random(seed) / 100;
+    pose.theta_mrad_q13 = (i32)reference_random(seed) / 10;
+    return pose;
+}
+
+static kinematics_velocity random_velocity(uint64_t *seed) {
+    kinematics_velocity v;
+    v.x_m_s_q13 = reference_random_i16(seed, 12000);
+    v.y_m_s_q13 = reference_random_i16(seed, 12000);
+    v.omega_rad_s_q11 = reference_random_i16(seed, 16000);
+    return v;
+}
+
+/* From any motion to any goal, retargeted half-way: limits hold, the target never jumps, arrival is
+ * exact. */
+static void limits_hold_when_the_goal_changes_in_flight(void) {
+    uint64_t seed = 11;
+    for (int n = 0; n < 300; n++) {
+        const odometry_pose first = random_pose(&seed), second = random_pose(&seed);
+        const kinematics_velocity v1 = random_velocity(&seed), v2 = random_velocity(&seed);
+        trajectory t;
+        extremes most;
+        traction_change before;
+        trajectory_start(&t, &origin, &still);
+        TEST_ASSERT_EQUAL(TRAJECTORY_OK, trajectory_plan(&t, &p, &first, &v1));
+        for (int k = t.ticks_left / 2; k > 0; k--)
+            trajectory_step_to_pose(&t);
+        before = t.velocity;
+        TEST_ASSERT_EQUAL(TRAJECTORY_OK, trajectory_plan(&t, &p, &second, &v2));
+        TEST_ASSERT_EQUAL_MEMORY(&before, &t.velocity, sizeof before);
+        most = run_to_arrival(&t);
+        TEST_ASSERT_EQUAL_INT32(second.x_mm_q13, t.position_q13[0]);
+        TEST_ASSERT_TRUE(most.speed_m_s < 2.353 * 1.001);
+        TEST_ASSERT_TRUE(most.omega_rad_s < 10.0 * 1.001);
+        TEST_ASSERT_TRUE(most.acceleration_m_s2 < 1.4717 * 1.02);
+    }
+}
+
+static void theta_goes_the_shorter_way_round(void) {
+    const odometry_pose here = {0, 0, 25000000}, goal = {0, 0, -25000000};
+    trajectory t;
+    trajectory_start(&t, &here, &still);
+    trajectory_plan(&t, &p, &goal, &still);
+    trajectory_step_to_pose(&t);
+    for (int n = 0; n < 50; n++)
+        trajectory_step_to_pose(&t);
+    TEST_ASSERT_GREATER_THAN_INT32(0, t.velocity.axis_q22[2]);
+}
+
+static void a_goal_beyond_60_s_is_refused_and_the_plan_kept(void) {
+    const odometry_pose near = {819200, 0, 0}, far = {(i32)I32_MAX, (i32)I32_MIN, 0};
+    trajectory t, before;
+    trajectory_start(&t, &origin, &still);
+    trajectory_plan(&t, &p, &near, &still);
+    before = t;
+    TEST_ASSERT_EQUAL(TRAJECTORY_TOO_FAR, trajectory_plan(&t, &p, &far, &still));
+    TEST_ASSERT_EQUAL_MEMORY(&before, &t, sizeof t);
+}
+
+static void velocity_ramps_along_the_commanded_direction(void) {
+    const kinematics_velocity command = {8192, -4096, 0};
+    trajectory t;
+    trajectory_start(&t, &origin, &still);
+    for (int n = 0; n < 300; n++) {
+        TEST_ASSERT_EQUAL_UINT(0, trajectory_step_velocity(&t, &p, &command));
+    }
+    /* 1.4717 m/s2 for 0.3 s along (2, -1) / sqrt 5 */
+    TEST_ASSERT_DOUBLE_WITHIN(0.002, 0.3949, t.velocity.axis_q22[0] / 4194304.0);
+    TEST_ASSERT_DOUBLE_WITHIN(0.002, -0.1974, t.velocity.axis_q22[1] / 4194304.0);
+    for (int n = 0; n < 600; n++)
+        trajectory_step_velocity(&t, &p, &command);
+    /* The command passes a rotation by 0, whose cosine is one LSB short of 1. */
+    TEST_ASSERT_INT32_WITHIN(512, 8192 * 512, t.velocity.axis_q22[0]);
+    TEST_ASSERT_INT32_WITHIN(512, -4096 * 512, t.velocity.axis_q22[1]);
+}
+
+static void velocity_commands_are_limited_along_their_direction(void) {
+    const kinematics_velocity command = {32767, -32767, 0};
+    trajectory t;
+    trajectory_start(&t, &origin, &still);
+    for (int n = 0; n < 4000; n++)
+        trajectory_step_velocity(&t, &p, &command);
+    TEST_ASSERT_DOUBLE_WITHIN(0.002, 2.3529 / sqrt(2.0), t.velocity.axis_q22[0] / 4194304.0);
+    TEST_ASSERT_DOUBLE_WITHIN(0.002, -2.3529 / sqrt(2.0), t.velocity.axis_q22[1] / 4194304.0);
+}
+
+static void a_ramp_beyond_the_grip_is_cut_and_says_so(void) {
+    const kinematics_velocity command = {12288, 0, 0};
+    trajectory t;
+    parameters_set(&p, PARAMETER_ID_acceleration_limit_q10, 8000);
+    trajectory_start(&t, &origin, &still);
+    for (int n = 0; n < 100; n++) {
+        TEST_ASSERT_EQUAL_UINT(1, trajectory_step_velocity(&t, &p, &command));
+    }
+    /* 20.6 N per wheel push 20 kg with 2.06 m/s2 */
+    TEST_ASSERT_DOUBLE_WITHIN(0.003, 0.206, t.velocity.axis_q22[0] / 4194304.0);
+}
+
+int main(void) {
+    UNITY_BEGIN();
+    RUN_TEST(a_straight_run_is_exact);
+    RUN_TEST(half_a_circle_ends_beside_its_start);
+    RUN_TEST(theta_wraps_in_both_directions);
+    RUN_TEST(left_of_a_robot_that_looks_left_is_backward);
+    RUN_TEST(the_position_saturates_instead_of_wrapping);
+    RUN_TEST(a_change_within_the_grip_passes_unchanged);
+    RUN_TEST(a_change_beyond_the_grip_keeps_its_direction);
+    RUN_TEST(the_limited_force_is_the_limit);
+    RUN_TEST(arrival_is_exact_with_the_velocity_asked_for);
+    RUN_TEST(short_move_takes_the_time_of_the_acceleration_limit);
+    RUN_TEST(the_way_is_on_the_cubic);
+    RUN_TEST(long_move_takes_the_time_of_the_speed_limit);
+    RUN_TEST(limits_hold_when_the_goal_changes_in_flight);
+    RUN_TEST(theta_goes_the_shorter_way_round);
+    RUN_TEST(a_goal_beyond_60_s_is_refused_and_the_plan_kept);
+    RUN_TEST(velocity_ramps_along_the_commanded_direction);
+    RUN_TEST(velocity_commands_are_limited_along_their_direction);
+    RUN_TEST(a_ramp_beyond_the_grip_is_cut_and_says_so);
+    return UNITY_END();
+}

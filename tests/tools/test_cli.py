@@ -1,0 +1,110 @@
+"""The command line: what it prints where, and how it ends."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+SHORT = "[scenario]\nduration_s = 0.5\n[[command]]\nt_s = 0.0\nvelocity = [0.5, 0.0, 0.0]\n"
+
+
+def files_below(path: Path) -> list[str]:
+    return sorted(str(item.relative_to(path)) for item in path.rglob("*"))
+
+
+@pytest.fixture
+def short(write):
+    return write("short.toml", SHORT)
+
+
+def test_simulate_writes_log_and_figure(omnislip, short, tmp_path):
+    log, figure = tmp_path / "out" / "run.csv", tmp_path / "out" / "run.png"
+    ended = omnislip("simulate", short, "--out", log, "--plot", figure)
+    assert ended.status == 0
+    assert f"100 rows in {log}" in ended.stdout
+    assert log.read_text().startswith("t_s,wheel/1/duty,")
+    assert figure.read_bytes().startswith(b"\x89PNG")
+
+
+def test_simulate_json(omnislip, short, tmp_path):
+    ended = omnislip("simulate", short, "--out", tmp_path / "run.parquet", "--json")
+    result = json.loads(ended.stdout)
+    assert result["rows"] == 100
+    assert result["log"] == str(tmp_path / "run.parquet")
+    assert 0 < result["final_pose"]["x_m"] < 0.25
+
+
+def test_import_emps_without_data(omnislip, tmp_path):
+    out = tmp_path / "out"
+    ended = omnislip("import", "emps", "--data", tmp_path, "--out", out)
+    assert ended.status == 2
+    assert ended.stderr.count("\n") == 1
+    assert "tools/fetch-data" in ended.stderr
+    assert not out.exists()
+
+
+BAD_CALLS = {
+    "no scenario": (["simulate", "none.toml", "--out", "run.csv"], "none.toml: cannot be read"),
+    "bad log name": (["simulate", "short.toml", "--out", "run.txt"], ".csv or .parquet"),
+    "bad figure name": (
+        ["simulate", "short.toml", "--out", "run.csv", "--plot", "run.gif"],
+        "run.gif: a figure must end in",
+    ),
+    "bad scenario": (["simulate", "bad.toml", "--out", "run.csv"], "bad.toml: unknown table"),
+    "locked log": (["simulate", "short.toml", "--out", "file/run.csv"], "file/run.csv: cannot"),
+    "locked folder": (["paper", "--out", "file/folder"], "file/folder: folder cannot be made"),
+}
+
+
+@pytest.mark.parametrize("case", BAD_CALLS)
+def test_bad_input_is_one_line_and_leaves_nothing(case, omnislip, short, write, monkeypatch):
+    words, expected = BAD_CALLS[case]
+    write("bad.toml", SHORT.replace("[scenario]", "[scene]"))
+    write("file", "")
+    monkeypatch.chdir(short.parent)
+    before = files_below(short.parent)
+    ended = omnislip(*words)
+    assert ended.status == 2
+    assert ended.stdout == ""
+    assert ended.stderr.startswith("omnislip: error: ")
+    assert ended.stderr.count("\n") == 1
+    assert expected in ended.stderr
+    assert files_below(short.parent) == before
+
+
+COMMANDS = [[], ["simulate"], ["paper"], ["import"], ["import", "emps"], ["gap"]]
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
+def test_help_is_there_and_leaf_commands_give_an_example(command, omnislip):
+    ended = omnislip(*command, "--help")
+    assert ended.status == 0
+    leaf = command in (["simulate"], ["paper"], ["import", "emps"])
+    assert ("Example: omnislip " + " ".join(command) in ended.stdout) == leaf
+
+
+def test_wrong_usage_ends_with_2(omnislip):
+    assert omnislip("simulate").status == 2
+    assert omnislip("fly").status == 2
+
+
+def test_no_color_is_honoured():
+    command = [sys.executable, "-m", "omnislip.cli", "--help"]
+    colour = {"FORCE_COLOR": "1", "PATH": "/usr/bin:/bin"}
+    plain = subprocess.run(command, env=colour | {"NO_COLOR": "1"}, capture_output=True, check=True)
+    assert b"\x1b[3" not in plain.stdout
+    assert b"Usage" in plain.stdout
+
+
+def test_fetch_data_says_when_it_cannot_fetch(tmp_path):
+    # A proxy that is not there stands for a missing network.
+    command = [sys.executable, REPOSITORY / "tools" / "fetch-data", tmp_path]
+    ended = subprocess.run(
+        command, env={"https_proxy": "http://127.0.0.1:9"}, capture_output=True, text=True
+    )
+    assert ended.returncode == 1
+    assert "fetch-data: error: cannot fetch https://" in ended.stderr.splitlines()[-1]
+    assert files_below(tmp_path) == []

@@ -1,0 +1,1 @@
+"""Simulation of a four-wheeled omnidirectional robot with slip, and its gap workflow."""

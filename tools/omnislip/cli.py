@@ -1,0 +1,163 @@
+"""The command `omnislip`.
+
+Results go to stdout, progress of work over two seconds to stderr. Exit status: 0 when the work was
+done, 2 for bad input, with one line that says what to mend.
+"""
+
+import json
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+import typer
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+from omnislip.errors import InputError
+from omnislip.gap.commands import app as gap_app
+from omnislip.importers import data_folder
+
+app = typer.Typer(
+    help="Simulate a four-wheeled omnidirectional robot with slip; find what its model lacks.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+)
+import_app = typer.Typer(
+    help="Turn public measured data sets into logs and model files.", no_args_is_help=True
+)
+app.add_typer(import_app, name="import")
+app.add_typer(gap_app, name="gap")
+
+Item = TypeVar("Item")
+Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
+
+
+@app.command(epilog="Example: omnislip simulate square.toml --out square.csv --plot square.png")
+def simulate(
+    scenario: Annotated[Path, typer.Argument(help="Scenario file (.toml).")],
+    out: Annotated[Path, typer.Option(help="Log to write (.csv or .parquet).")],
+    plot: Annotated[Path | None, typer.Option(help="Figure to write (.png, .svg, .pdf).")] = None,
+    as_json: Json = False,
+) -> None:
+    """Drive a simulated robot through a scenario and log what its sensors see."""
+    from omnislip import plots
+    from omnislip.log_file import check_log_path, write_log
+    from omnislip.scenario import read_scenario
+    from omnislip.simulate import run_scenario
+
+    check_log_path(out)
+    if plot is not None:
+        plots.check_figure_path(plot)
+    run = run_scenario(read_scenario(scenario))
+    write_log(run.log, out)
+    if plot is not None:
+        plots.plot_run(run.truth, plot)
+    x_m, y_m, theta_rad = run.truth["pose"][-1].tolist()
+    result = {
+        "log": str(out),
+        "plot": str(plot) if plot is not None else None,
+        "rows": len(run.log.t_s),
+        "final_pose": {"x_m": x_m, "y_m": y_m, "theta_rad": theta_rad},
+    }
+    if as_json:
+        _print_json(result)
+        return
+    print(f"{len(run.log.t_s)} rows in {out}" + (f", figure in {plot}" if plot else ""))
+    print(f"final pose: x {x_m:.3f} m, y {y_m:.3f} m, theta {theta_rad:.3f} rad")
+
+
+@app.command(epilog="Example: omnislip paper --out build/paper")
+def paper(
+    out: Annotated[Path, typer.Option(help="Folder for figures, logs and paper.json.")],
+    as_json: Json = False,
+) -> None:
+    """Repeat the paper's experiment: a sideways impact, control without and with slip model."""
+    from omnislip.paper import all_cases, run_experiment
+
+    _check_folder(out)
+    result = run_experiment(_progress(all_cases(), "paper experiment"), out)
+    if as_json:
+        _print_json(result)
+        return
+    _print_paper(result)
+    print(f"in {out}: figure_6.png, same_impact.png, sweep.png, paper.json, four logs")
+
+
+@import_app.command(epilog="Example: omnislip import emps --out build/emps")
+def emps(
+    out: Annotated[Path, typer.Option(help="Folder for train.csv, test.csv and emps.toml.")],
+    data: Annotated[
+        Path | None,
+        typer.Option(help="Folder of data sets; default $OMNISLIP_DATA, else ../shared/data."),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """EMPS: an electro-mechanical positioning axis (Janot, Gautier, Brunot 2019)."""
+    from omnislip.importers.emps import import_emps
+
+    written = [str(path) for path in import_emps(data or data_folder(), out)]
+    if as_json:
+        _print_json({"files": written})
+    else:
+        print("wrote " + ", ".join(written))
+
+
+def main() -> None:
+    """Run the command line; bad input ends with one line on stderr and exit status 2."""
+    try:
+        app()
+    except InputError as error:
+        print(f"omnislip: error: {error}", file=sys.stderr)
+        sys.exit(2)
+
+
+def _progress(items: list[Item], what: str) -> Iterable[Item]:
+    return track(items, description=what, console=Console(stderr=True), transient=True)
+
+
+def _check_folder(path: Path) -> None:
+    """Fail before the work, not after it, when the results could not be written."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{path}: folder cannot be made: {error.strerror}") from None
+
+
+def _print_json(result: dict[str, Any]) -> None:
+    print(json.dumps(result, indent=1))
+
+
+def _print_paper(result: dict[str, Any]) -> None:
+    table = Table(title=f"sideways impact at {result['speed_m_s']} m/s along x")
+    for heading in ("impulse\nN s", "impact x\nmm", "control", "overshoot\n%", "speed error\n%"):
+        table.add_column(heading, justify="right")
+    for heading in ("peak |y|\nmm", "remaining |y|\nmm"):
+        table.add_column(heading, justify="right")
+    for run in result["runs"]:
+        table.add_row(
+            f"{run['impulse_y_n_s']:g}",
+            f"{1000 * run['impact_x_m']:.0f}",
+            run["controller"],
+            f"{run['speed_overshoot_percent']:.2f}",
+            f"{run['speed_error_percent']:+.2f}",
+            f"{1000 * run['peak_y_m']:.1f}",
+            f"{1000 * run['remaining_y_m']:.1f}",
+        )
+    console = Console()
+    console.print(table)
+    for row in result["ratios"]:
+        if row["impulse_y_n_s"] == result["reference_impulse_n_s"]:
+            console.print(
+                f"impact at {1000 * row['impact_x_m']:.0f} mm, {row['impulse_y_n_s']:g} N s: "
+                f"without / with slip model: peak |y| {row['peak_y_ratio']:.2f}, "
+                f"remaining |y| {row['remaining_y_ratio']:.2f}",
+                soft_wrap=True,
+            )
+
+
+if __name__ == "__main__":
+    main()

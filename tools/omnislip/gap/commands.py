@@ -1,0 +1,158 @@
+"""The commands `omnislip gap ...`."""
+
+import json
+import shlex
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from omnislip.errors import InputError
+
+app = typer.Typer(
+    help="Find where a model and measured logs disagree, name the missing effect, add it.",
+    no_args_is_help=True,
+)
+
+Robot = Annotated[Path, typer.Option(help="Model file (robot.toml).")]
+Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
+
+
+@app.command(epilog="Example: omnislip gap find --robot robot.toml --out gap run_01.csv run_02.csv")
+def find(
+    logs: Annotated[list[Path], typer.Argument(help="Logs (.csv or .parquet) of one machine.")],
+    robot: Robot,
+    out: Annotated[Path, typer.Option(help="Folder for report.html, gap.json and robot.toml.")],
+    as_json: Json = False,
+) -> None:
+    """Find the gap, name its cause, write the amended model and a report."""
+    from omnislip.gap.find import find_gap, to_json, write_results
+    from omnislip.gap.report import render
+
+    check_folder(out)
+    with progress() as say:
+        findings = find_gap(robot, logs, say)
+        say("drawing the report")
+        report = render(findings, shlex.join(["omnislip", *sys.argv[1:]]))
+    write_results(findings, out, report)
+    if as_json:
+        print(json.dumps(to_json(findings), indent=1, allow_nan=False))
+        return
+    print(findings.sentence)
+    if findings.table is not None:
+        print_table(findings.table)
+    print(f"report: {out / 'report.html'}   amended model: {out / 'robot.toml'}")
+
+
+@app.command(epilog="Example: omnislip gap evaluate --robot gap/robot.toml run_07.csv run_08.csv")
+def evaluate(
+    logs: Annotated[list[Path], typer.Argument(help="Logs (.csv or .parquet) of one machine.")],
+    robot: Robot,
+    as_json: Json = False,
+) -> None:
+    """Print how wrong a model is on logs: replay errors per channel and the noise floor."""
+    from omnislip.gap.metrics import evaluate_model
+
+    with progress() as say:
+        result = evaluate_model(robot, logs, say)
+    if as_json:
+        print(json.dumps(result, indent=1, allow_nan=False))
+        return
+    table = Table(title=f"one-second replays of {robot} on {len(logs)} runs")
+    for heading in ("channel", "RMSE", "noise floor"):
+        table.add_column(heading, justify="left" if heading == "channel" else "right")
+    for channel, figures in result["channels"].items():
+        table.add_row(channel, f"{figures['rmse']:.4g}", f"{figures['noise_floor']:.4g}")
+    Console().print(table)
+
+
+@app.command(epilog="Example: omnislip gap benchmark --out build/benchmark --per-effect 3")
+def benchmark(
+    out: Annotated[Path, typer.Option(help="Folder for the cases and results; resumes there.")],
+    effects: Annotated[
+        list[str] | None,
+        typer.Option("--effect", help="Hidden effect, or 'none'; repeat. Default: ten and none."),
+    ] = None,
+    per_effect: Annotated[int, typer.Option(min=1, help="Cases of each.")] = 1,
+    as_json: Json = False,
+) -> None:
+    """Hide effects in logs of an independent simulator and see whether they are found."""
+    from omnislip.gap.benchmark import TEN, run_benchmark
+
+    check_folder(out)
+    with progress() as say:
+        rows = run_benchmark(out, effects or [*TEN, "none"], per_effect, say)
+    if as_json:
+        print(json.dumps(rows, indent=1, allow_nan=False))
+        return
+    table = Table(title="hidden effects")
+    for heading in ("hidden", "curve", "named", "right", "size error", "refit", "after", "time"):
+        table.add_column(heading, overflow="fold")
+    for row in rows:
+        error = row["size_error"]
+        table.add_row(
+            row["hidden"],
+            row["friction_curve"],
+            ", ".join(row["named"]) or row["verdict"],
+            "yes" if row["right"] else "no",
+            f"{100 * error:.1f} %" if error is not None else "",
+            f"{row['refit_in_floors']:.2f}",
+            f"{row['after_in_floors']:.2f}",
+            f"{row['time_s']:.0f} s",
+        )
+    Console().print(table)
+    print("refit, after: replay error on held-out runs in noise floors (1 = nothing left)")
+
+
+class progress:  # noqa: N801 - used as a statement
+    """A status line on stderr: what is being done now; plain lines when stderr is no terminal."""
+
+    def __init__(self) -> None:
+        self._console = Console(stderr=True)
+        self._status = self._console.status("starting")
+        self._begin = time.monotonic()
+        self._last_line_s = 0.0
+
+    def __enter__(self) -> Callable[[str], None]:
+        if self._console.is_terminal:
+            self._status.start()
+        return self._say
+
+    def __exit__(self, *_: object) -> None:
+        if self._console.is_terminal:
+            self._status.stop()
+
+    def _say(self, text: str) -> None:
+        elapsed_s = time.monotonic() - self._begin
+        if self._console.is_terminal:
+            self._status.update(f"{text} [{elapsed_s:.0f} s]")
+        elif elapsed_s - self._last_line_s > 2.0:
+            self._last_line_s = elapsed_s
+            self._console.print(f"{elapsed_s:4.0f} s  {text}", markup=False, highlight=False)
+
+
+def check_folder(path: Path) -> None:
+    """Fail before the work when the results could not be written."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        probe = path / ".write-probe"
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise InputError(f"{path}: cannot write there: {error.strerror}") from None
+
+
+def print_table(table: object) -> None:
+    """Print the gap table of Findings."""
+    shown = Table(title="error of one-second replays on held-out runs (RMSE)")
+    for heading in ("channel", "believed", "refit", "with effects", "noise floor"):
+        shown.add_column(heading, justify="left" if heading == "channel" else "right")
+    for c, channel in enumerate(table.channels):
+        cells = [f"{table.rmse[m, c]:.4g}" for m in range(3)]
+        shown.add_row(channel, *cells, f"{table.floor[c]:.4g}")
+    Console().print(shown)

@@ -1,0 +1,325 @@
+"""`omnislip gap find`: from logs to a verdict, an amended model and the proof on unseen runs."""
+
+import hashlib
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from omnislip.errors import InputError
+from omnislip.files import write_text
+from omnislip.gap.inference import prior_penalty
+from omnislip.gap.machine import Candidate, Machine
+from omnislip.gap.metrics import GapTable, Replays, gap_table, replay_all
+from omnislip.gap.recordings import Run, make_run
+from omnislip.gap.search import Outcome, Selected, search
+from omnislip.gap.where import Map, Place, describe, map_gap
+from omnislip.log_file import Log, read_log
+from omnislip.model_file import Effect, Model, format_model, read_model
+
+Array = npt.NDArray[np.float64]
+
+SCHEMA = "omnislip-gap/1"
+RUNS_TO_HOLD_OUT_WHOLE = 5
+LEAST_TIME_S = 3.0
+LEAST_TRAVEL = 20.0
+"""Motion, in steps of the position sensor, below which nothing can be learned."""
+CONFIDENCE = 1.959964  # 95 %
+
+
+@dataclass(frozen=True)
+class Split:
+    """Which runs are fitted, which check the choice, and which are only looked at in the end."""
+
+    fitting: list[Run]
+    validation: list[Run]
+    held_out: list[Run]
+    how: str
+
+
+@dataclass(frozen=True)
+class Findings:
+    """Everything `gap find` found out; the report and gap.json are written from it."""
+
+    verdict: str
+    sentence: str
+    machine: Machine
+    split: Split
+    outcome: Outcome | None
+    amended: Model
+    places: list[Place]
+    gap_map: Map | None
+    table: GapTable | None
+    replays: list[Replays]
+    inputs: dict[str, str]
+    """File name -> SHA-256 of the model and the logs."""
+
+
+def find_gap(
+    model_path: Path, log_paths: Sequence[Path], progress: Callable[[str], None]
+) -> Findings:
+    """Find the gap between a model file and logs. InputError for files that cannot be used."""
+    model = read_model(model_path)
+    machine = Machine(model)
+    progress(f"reading {len(log_paths)} logs")
+    logs = [read_log(path, model.kind) for path in log_paths]
+    inputs = {str(path): _sha256(path) for path in (model_path, *log_paths)}
+    reason = _too_little(machine, logs)
+    if reason:
+        return _insufficient(machine, logs, reason, inputs)
+    split = split_runs(machine, logs)
+    outcome = search(machine, split.fitting, split.validation, progress)
+    progress("replaying the held-out runs")
+    believed = machine.believed
+    refit = outcome.base.hypothesis.flat(believed)
+    after = outcome.final.hypothesis.flat(believed)
+    replays = replay_all(machine, split.held_out, outcome.data.noise, [believed, refit, after])
+    table = gap_table(replays)
+    fitted = [*split.fitting, *split.validation]
+    gap_map = map_gap(
+        machine, fitted, outcome.data.noise, refit, after if outcome.selected else None
+    )
+    places = describe(fitted, gap_map) if outcome.selected else []
+    verdict = "effect_found" if outcome.selected else "no_gap"
+    return Findings(
+        verdict,
+        _sentence(verdict, machine, outcome, table),
+        machine,
+        split,
+        outcome,
+        _amend(machine, outcome),
+        places,
+        gap_map,
+        table,
+        replays,
+        inputs,
+    )
+
+
+def split_runs(machine: Machine, logs: Sequence[Log]) -> Split:
+    """Hold out whole runs when there are five or more; else the last run, or the end of the one."""
+    if len(logs) >= RUNS_TO_HOLD_OUT_WHOLE:
+        share = max(1, round(0.2 * len(logs)))
+        held = {round((k + 1) * len(logs) / share) - 1 for k in range(share)}
+        checks = {index - 1 for index in held}
+        runs = [make_run(machine, log) for log in logs]
+        return Split(
+            [run for i, run in enumerate(runs) if i not in held | checks],
+            [runs[i] for i in sorted(checks)],
+            [runs[i] for i in sorted(held)],
+            "whole runs",
+        )
+    if len(logs) > 1:
+        parts = [_cut(machine, log, (0.0, 0.75, 1.0)) for log in logs[:-1]]
+        held_out = [make_run(machine, logs[-1])]
+        how = "the last run held out; the end of the others checks the choice"
+    else:
+        parts = [_cut(machine, logs[0], (0.0, 0.55, 0.75, 1.0))]
+        held_out = [parts[0][2]]
+        how = "one run only: its last quarter held out"
+    return Split([p[0] for p in parts], [p[1] for p in parts], held_out, how)
+
+
+def _cut(machine: Machine, log: Log, shares: Sequence[float]) -> list[Run]:
+    edges = [round(share * len(log.t_s)) for share in shares]
+    return [
+        make_run(machine, log, begin, end)
+        for begin, end in zip(edges[:-1], edges[1:], strict=True)
+    ]
+
+
+def _too_little(machine: Machine, logs: Sequence[Log]) -> str | None:
+    """Return why these logs cannot teach anything, or None."""
+    total = sum(float(log.t_s[-1] - log.t_s[0]) for log in logs)
+    if total < LEAST_TIME_S:
+        return f"the logs hold {total:.2g} s, at least {LEAST_TIME_S:g} s are needed"
+    command = "wheel/1/duty" if machine.kind == "robot" else "axis/command"
+    commands = [n for n in logs[0].columns if n == command or n.endswith("/duty")]
+    if all(np.ptp(log.columns[name]) == 0 for log in logs for name in commands):
+        return "the command never changes"
+    runs = [make_run(machine, log) for log in logs]
+    motors = machine.engine.motors
+    for motor in range(motors):
+        travel = max(
+            float(np.ptp(run.outputs[:, motor])) / _resolution(run.outputs[:, motor])
+            for run in runs
+        )
+        if travel < LEAST_TRAVEL:
+            what = f"wheel {motor + 1}" if motors > 1 else "the axis"
+            return f"{what} hardly moves in any log"
+    return None
+
+
+def _resolution(values: Array) -> float:
+    steps = np.abs(np.diff(values))
+    moved = steps[steps > 0]
+    return float(moved.min()) if moved.size else float("inf")
+
+
+def _insufficient(
+    machine: Machine, logs: Sequence[Log], reason: str, inputs: dict[str, str]
+) -> Findings:
+    split = Split([], [], [], "no run was used")
+    return Findings(
+        "insufficient_data",
+        f"Not enough data: {reason}.",
+        machine,
+        split,
+        None,
+        machine.model,
+        [],
+        None,
+        None,
+        [],
+        inputs,
+    )
+
+
+def _sentence(verdict: str, machine: Machine, outcome: Outcome, table: GapTable) -> str:
+    """Return the verdict as one sentence with numbers."""
+    if verdict == "no_gap":
+        return "No missing effect: the believed model explains these logs within its tolerances."
+    parts = [_effect_words(machine, s) for s in outcome.selected]
+    text = "Missing: " + "; ".join(parts) + "."
+    closed = table.closed
+    if closed.value is not None:
+        text += (
+            f" Added to the model, {100 * closed.value:.0f} % of the gap on held-out runs closes"
+            f" ({100 * closed.low:.0f} to {100 * closed.high:.0f} %)."
+        )
+    rivals = [s for s in outcome.selected if s.rivals]
+    for one in rivals:
+        text += f" These logs cannot tell {one.candidate.name} from {', '.join(one.rivals)}."
+    return text
+
+
+def _effect_words(machine: Machine, selected: Selected) -> str:
+    candidate = selected.candidate
+    sizes = []
+    for k in candidate.amplitudes:
+        name = candidate.parameters[k].label
+        unit = machine.unit(candidate.effect, name)
+        half = CONFIDENCE * float(np.sqrt(selected.evidence.covariance[k, k]))
+        value = f"{selected.values[k]:.3g} ± {half:.1g}"
+        sizes.append(f"{machine.file_parameter(name)} {value}" + (f" {unit}" if unit != "1" else ""))
+    return f"{candidate.name} ({', '.join(sizes)})"
+
+
+def _amend(machine: Machine, outcome: Outcome) -> Model:
+    """Return the model with the refitted keys and the found effects."""
+    hypothesis = outcome.final.hypothesis
+    base = {
+        p.label: float(x) / float(machine.believed[p.places[0]])
+        for p, x in zip(hypothesis.base, hypothesis.x, strict=False)
+    }
+    effects = [_as_effect(machine, s.candidate, s.values) for s in outcome.selected]
+    return machine.amended_model(base, effects)
+
+
+def _as_effect(machine: Machine, candidate: Candidate, values: Array) -> Effect:
+    parameters = {
+        machine.file_parameter(p.label): float(v)
+        for p, v in zip(candidate.parameters, values, strict=True)
+        if np.isfinite(v)
+    }
+    return Effect(candidate.effect, parameters, candidate.wheel)
+
+
+def to_json(findings: Findings) -> dict[str, Any]:
+    """Return gap.json as a dict."""
+    machine, outcome, table = findings.machine, findings.outcome, findings.table
+    return {
+        "schema": SCHEMA,
+        "verdict": findings.verdict,
+        "sentence": findings.sentence,
+        "where": [
+            {
+                "channel": p.channel,
+                "condition": p.condition,
+                "share_of_gap": p.share,
+                "windows_s": [list(w) for w in p.windows_s],
+            }
+            for p in findings.places
+        ],
+        "effects": [_effect_json(machine, s) for s in outcome.selected] if outcome else [],
+        "gap": _table_json(table) if table else None,
+        "detection_limits": outcome.limits if outcome and not outcome.selected else {},
+        "base": _base_json(machine, outcome) if outcome else {},
+        "split": {
+            "how": findings.split.how,
+            "fitting": [r.name for r in findings.split.fitting],
+            "validation": [r.name for r in findings.split.validation],
+        },
+        "inputs_sha256": findings.inputs,
+    }
+
+
+def _effect_json(machine: Machine, selected: Selected) -> dict[str, Any]:
+    candidate, evidence = selected.candidate, selected.evidence
+    half = CONFIDENCE * np.sqrt(np.diag(evidence.covariance))
+    parameters = {
+        machine.file_parameter(p.label): {"value": float(v), "low": float(v - h), "high": float(v + h)}
+        for p, v, h in zip(candidate.parameters, selected.values, half, strict=True)
+        if np.isfinite(v)
+    }
+    return {
+        "name": candidate.effect,
+        "wheel": candidate.wheel,
+        "parameters": parameters,
+        "ambiguous_with": list(selected.rivals),
+        "separating_manoeuvre": None,
+        "evidence": {
+            "gain": evidence.gain,
+            "inflation": evidence.inflation,
+            "p_value": evidence.p_value,
+        },
+    }
+
+
+def _table_json(table: GapTable) -> dict[str, Any]:
+    names = ("believed", "refit", "after")
+    channels = {
+        channel: {
+            **{n: float(table.rmse[m, c]) for m, n in enumerate(names)},
+            "noise_floor": float(table.floor[c]),
+        }
+        for c, channel in enumerate(table.channels)
+    }
+    closed = table.closed
+    return {
+        "held_out_runs": list(table.runs),
+        "channels": channels,
+        "closed_fraction": {"value": closed.value, "low": closed.low, "high": closed.high},
+        "noise_floor_source": table.floor_source,
+    }
+
+
+def _base_json(machine: Machine, outcome: Outcome) -> dict[str, Any]:
+    hypothesis = outcome.final.hypothesis
+    deviations = prior_penalty(hypothesis, machine.believed, hypothesis.x)
+    return {
+        p.label: {
+            "believed": float(machine.believed[p.places[0]]),
+            "fitted": float(x),
+            "standard_deviations": float(z),
+        }
+        for p, x, z in zip(hypothesis.base, hypothesis.x, deviations, strict=False)
+    }
+
+
+def write_results(findings: Findings, directory: Path, report: str) -> None:
+    """Write gap.json, robot.toml and report.html; each whole or not at all."""
+    if directory.exists() and not directory.is_dir():
+        raise InputError(f"{directory}: is a file; --out needs a folder")
+    write_text(directory / "robot.toml", format_model(findings.amended))
+    write_text(directory / "report.html", report)
+    text = json.dumps(to_json(findings), indent=2, allow_nan=False)
+    write_text(directory / "gap.json", text + "\n")
+
+
+def _sha256(path: Path) -> str:
+    return hashlib.sha256(Path(path).read_bytes()).hexdigest()

@@ -1,0 +1,281 @@
+"""A model file as a point in the parameter space of the plant.
+
+A parameter set of `omnislip._core` is one flat vector: the believed (base) values, then every
+parameter of every effect, wheel by wheel. This module knows which place means what.
+"""
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from omnislip import _core
+from omnislip.errors import InputError
+from omnislip.model_file import Effect, Model
+
+Array = npt.NDArray[np.float64]
+
+# Known exactly: gearing and gravity, angles of the mounting, counts of the disc.
+EXACT_ROBOT_KEYS = ("robot.wheel_angles_deg", "motor.gear_ratio", "contact.gravity_m_s2")
+AXIS_KEYS = {
+    "mass_kg": "axis.inertia",
+    "inertia_kg_m2": "axis.inertia",
+    "back_emf_n_s_m": "axis.back_emf",
+    "back_emf_nm_s_rad": "axis.back_emf",
+    "viscous_friction_n_s_m": "axis.viscous_friction",
+    "viscous_friction_nm_s_rad": "axis.viscous_friction",
+    "pendulum_mass_kg": "axis.pendulum_mass_kg",
+    "pendulum_length_m": "axis.pendulum_length_m",
+    "gravity_m_s2": "axis.gravity_m_s2",
+}
+# Dry friction is smoothed over this speed: slow enough to be dry, fast enough to integrate.
+AXIS_FRICTION_SPEED = {"linear": 1e-3, "rotary": 0.05}
+# The catalogue speaks of shafts; a linear axis says the same with its own units.
+LINEAR_NAMES = {
+    "torque_nm": ("force_n", "N"),
+    "viscous_friction_nm_s": ("viscous_friction_n_s_m", "N s/m"),
+    "viscous_nm_s": ("viscous_n_s_m", "N s/m"),
+    "speed_rad_s": ("speed_m_s", "m/s"),
+    "cycles_per_rev": ("cycles_per_m_2pi", "rad/m"),
+}
+PERIODIC_UNIT = "rad"
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A number that can be fitted: where it stands in the flat vector and how it is bounded."""
+
+    label: str
+    places: tuple[int, ...]
+    scale: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An effect that may be missing, on one wheel or (wheel None) on all."""
+
+    effect: str
+    wheel: int | None
+    parameters: tuple[Parameter, ...]
+    amplitudes: tuple[int, ...]
+    """Which of `parameters` are zero-able sizes; the others shape the effect."""
+    starts: tuple[dict[int, float], ...] = field(default=({},))
+    """Values of the shaping parameters to start a fit from, by index into `parameters`."""
+
+    @property
+    def name(self) -> str:
+        """Name for people: 'weak_motor (wheel 3)'."""
+        return self.effect if self.wheel is None else f"{self.effect} (wheel {self.wheel})"
+
+
+def axis_is_linear(model: Model) -> bool:
+    """Return whether an axis model translates (mass, N) rather than turns (inertia, N m)."""
+    return "axis.mass_kg" in model.values
+
+
+class Machine:
+    """The believed machine: flat values, the engine that replays it, and what may be fitted."""
+
+    def __init__(self, model: Model) -> None:
+        if model.kind not in ("robot", "axis"):
+            raise InputError(f"{model.path}: gap find does not take a model of kind '{model.kind}'")
+        self.model = model
+        self.kind = model.kind
+        self.linear = model.kind == "axis" and axis_is_linear(model)
+        self.engine = _core.Engine(model.kind)
+        self.catalogue = {e["name"]: e for e in _core.effects() if model.kind in e["kinds"]}
+        self._places = self._layout()
+        self.believed = self._flat_values()
+
+    def place(self, effect: str, parameter: str, wheel: int | None) -> tuple[int, ...]:
+        """Return where a parameter of an effect stands; all wheels' places for wheel None."""
+        stride, first = self._places[effect, parameter]
+        if wheel is None or stride == 1:
+            return tuple(range(first, first + stride))
+        return (first + wheel - 1,)
+
+    def base_parameters(self) -> list[Parameter]:
+        """Return the believed keys that the base fit may move, within two tolerances."""
+        return [self._base_parameter(key) for key in self.model.values if self._may_move(key)]
+
+    def candidates(self) -> list[Candidate]:
+        """Return every effect of the catalogue that this model may lack, wheel by wheel."""
+        found = []
+        for entry in self.catalogue.values():
+            wheels: Iterable[int | None] = (None,)
+            if self.engine.motors > 1 and entry["scope"] == "single":
+                wheels = range(1, self.engine.motors + 1)
+            elif self.engine.motors > 1 and entry["scope"] == "common or single":
+                wheels = (None, *range(1, self.engine.motors + 1))
+            found += [self._candidate(entry, wheel) for wheel in wheels]
+        return [candidate for candidate in found if not self._already_there(candidate)]
+
+    def with_effect(self, values: Array, candidate: Candidate, sizes: Iterable[float]) -> Array:
+        """Return a copy of flat `values` in which the candidate's parameters have `sizes`."""
+        changed = values.copy()
+        for parameter, size in zip(candidate.parameters, sizes, strict=True):
+            changed[list(parameter.places)] = size
+        return changed
+
+    def amended_model(self, base: Mapping[str, float], effects: list[Effect]) -> Model:
+        """Return the model with moved base keys (factor on the believed value) and new effects."""
+        values = {
+            key: value * base.get(key, 1.0) if isinstance(value, float) else value
+            for key, value in self.model.values.items()
+        }
+        return Model(
+            kind=self.model.kind,
+            values=values,
+            tolerance=self.model.tolerance,
+            effects=[*self.model.effects, *effects],
+            name=self.model.name,
+        )
+
+    def file_parameter(self, parameter: str) -> str:
+        """Return the name of a catalogue parameter in this machine's files."""
+        return LINEAR_NAMES.get(parameter, (parameter, ""))[0] if self.linear else parameter
+
+    def unit(self, effect: str, parameter: str) -> str:
+        """Return the unit of a catalogue parameter on this machine."""
+        if self.linear and parameter in LINEAR_NAMES:
+            return LINEAR_NAMES[parameter][1]
+        entry = self.catalogue[effect]["parameters"]
+        return next(p["unit"] for p in entry if p["name"] == parameter)
+
+    def _layout(self) -> dict[tuple[str, str], tuple[int, int]]:
+        place = len(_core.base_parameters(self.kind))
+        places = {}
+        for entry in _core.effects():
+            stride = self.engine.motors if entry["per_wheel"] else 1
+            for parameter in entry["parameters"]:
+                places[entry["name"], parameter["name"]] = (stride, place)
+                place += stride
+        return places
+
+    def _flat_values(self) -> Array:
+        values = np.empty(self.engine.parameters)
+        for entry in _core.effects():
+            for parameter in entry["parameters"]:
+                stride, first = self._places[entry["name"], parameter["name"]]
+                values[first : first + stride] = parameter["neutral"]
+        base = _core.base_parameters(self.kind)
+        values[: len(base)] = [parameter["default"] for parameter in base]
+        for key, places in self._key_places().items():
+            values[list(places)] = self.model.values[key]
+        if self.kind == "axis":
+            speed = AXIS_FRICTION_SPEED["linear" if self.linear else "rotary"]
+            values[[p["name"] for p in base].index("axis.friction_speed")] = speed
+        for effect in self.model.effects:
+            self._apply(values, effect)
+        return values
+
+    def _apply(self, values: Array, effect: Effect) -> None:
+        """Write an effect of the model file into the flat vector; sizes of one wheel add up."""
+        for name, value in effect.parameters.items():
+            catalogue_name = self._catalogue_parameter(name)
+            places = list(self.place(effect.name, catalogue_name, effect.wheel))
+            values[places] = value
+
+    def _catalogue_parameter(self, name: str) -> str:
+        if self.linear:
+            return next((k for k, (linear, _) in LINEAR_NAMES.items() if linear == name), name)
+        return name
+
+    def _key_places(self) -> dict[str, tuple[int, ...]]:
+        names = [parameter["name"] for parameter in _core.base_parameters(self.kind)]
+        if self.kind == "robot":
+            keys = {key: [key] for key in self.model.values}
+            angles = "robot.wheel_angles_deg"
+            keys[angles] = [f"{angles}[{i}]" for i in range(self.engine.motors)]
+        else:
+            keys = {}
+            for key in self.model.values:
+                short = key.split(".")[1]
+                gain = short.startswith("input_gain")
+                plant_key = "axis.input_gain" if gain else AXIS_KEYS.get(short)
+                if plant_key:
+                    keys[key] = [plant_key]
+        return {key: tuple(names.index(n) for n in plant) for key, plant in keys.items()}
+
+    def _may_move(self, key: str) -> bool:
+        exact = (*EXACT_ROBOT_KEYS, "encoder.counts_per_rev", "axis.gravity_m_s2", "axis.supply_v")
+        return key not in exact and self.model.values[key] != 0 and self.model.tolerance_of(key) > 0
+
+    def _base_parameter(self, key: str) -> Parameter:
+        value = float(self.model.values[key])  # type: ignore[arg-type]
+        deviation = abs(value) * self.model.tolerance_of(key)
+        return Parameter(
+            key, self._key_places()[key], deviation, value - 2 * deviation, value + 2 * deviation
+        )
+
+    def _candidate(self, entry: dict, wheel: int | None) -> Candidate:
+        parameters, amplitudes, shapes = [], [], {}
+        for index, p in enumerate(entry["parameters"]):
+            typical = p["typical"]
+            if typical != 0:
+                amplitudes.append(index)
+                if self.kind == "axis":
+                    typical = self._axis_size(p["name"], typical)
+            else:
+                shapes[index] = p
+            parameters.append(
+                Parameter(
+                    p["name"],
+                    self.place(entry["name"], p["name"], wheel),
+                    abs(typical) if typical else _shape_scale(p),
+                    p["low"],
+                    p["high"],
+                )
+            )
+        starts = _shape_starts(entry["name"], shapes)
+        return Candidate(entry["name"], wheel, tuple(parameters), tuple(amplitudes), starts)
+
+    def _axis_size(self, parameter: str, typical: float) -> float:
+        """Size worth looking for, from the axis' own scale: its force at unit command."""
+        values = self.believed if hasattr(self, "believed") else self._flat_values()
+        inertia, gain, _, viscous = values[:4]
+        if parameter == "torque_nm":
+            return 0.1 * gain * math.copysign(1.0, typical)
+        if parameter in ("viscous_friction_nm_s", "viscous_nm_s"):
+            return max(0.1 * viscous, 0.01 * inertia)
+        if parameter == "coefficient":
+            return typical
+        if parameter in ("mass_kg", "inertia_kg_m2"):
+            return 0.05 * inertia
+        return typical
+
+    def _already_there(self, candidate: Candidate) -> bool:
+        return any(
+            effect.name == candidate.effect and effect.wheel == candidate.wheel
+            for effect in self.model.effects
+        )
+
+
+def _shape_scale(parameter: dict) -> float:
+    if parameter["unit"] == PERIODIC_UNIT:
+        return 0.3
+    return max(0.1 * abs(parameter["neutral"]), 0.05) if math.isfinite(parameter["neutral"]) else 0.3
+
+
+# Starting values of shaping parameters; where the fit is not convex one start is not enough.
+SHAPE_GRIDS = {
+    ("stribeck_friction", "speed_rad_s"): (4.0, 12.0, 40.0),
+    ("cogging", "cycles_per_rev"): tuple(float(n) for n in (1, 2, 4, 5, 6, 7, 8, 10, 12, 14, 24)),
+    ("roller_ripple", "rollers"): tuple(float(n) for n in range(6, 25)),
+    ("grip_falloff", "speed_m_s"): (0.1, 0.3, 0.9),
+    ("encoder_dropout", "speed_rad_s"): (50.0, 100.0, 150.0, 200.0, 300.0),
+    ("cogging", "phase_rad"): (0.0, math.pi / 2),
+    ("wheel_eccentricity", "phase_rad"): (0.0, math.pi / 2),
+}
+
+
+def _shape_starts(effect: str, shapes: Mapping[int, dict]) -> tuple[dict[int, float], ...]:
+    starts: list[dict[int, float]] = [{}]
+    for index, parameter in shapes.items():
+        grid = SHAPE_GRIDS.get((effect, parameter["name"]), (parameter["neutral"],))
+        starts = [{**start, index: value} for start in starts for value in grid]
+    return tuple(starts)

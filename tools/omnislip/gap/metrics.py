@@ -1,0 +1,223 @@
+"""How wrong is the simulator: errors of replays on runs that were not fitted.
+
+A replay starts from the filtered state, runs freely with the logged command for one second, and
+starts again; its error is measured minus simulated. Per channel: RMSE of the believed model, of the
+refitted one and of the one with the effects; beside them the noise floor, what chance alone would
+leave. The excess G = mean square error - floor^2, in units of floor^2, averaged over channels; the
+closed fraction is (G_refit - G_after) / G_refit, with an interval by bootstrap over runs (over
+one-second windows when there are fewer than three runs).
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from omnislip.gap.machine import Machine
+from omnislip.gap.noise import Noise, track_all, tune_noise
+from omnislip.gap.recordings import Run, make_run
+from omnislip.log_file import read_log
+from omnislip.model_file import read_model
+
+Array = npt.NDArray[np.float64]
+
+WINDOW_S = 1.0
+SETTLE_S = 0.25
+BOOTSTRAPS = 2000
+SAME_MANOEUVRE = 0.98
+"""Correlation of the commands from which on two runs count as a repetition."""
+
+
+@dataclass(frozen=True)
+class Replays:
+    """Replay errors of one run: `errors` (models, rows, channels), NaN where not sampled."""
+
+    run: Run
+    errors: Array
+    floor_variance: Array
+    """(rows, channels) that the predictor's noise gives to a replay."""
+    counted: npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Closed:
+    """Closed share of the gap with a 90 % interval; None when there is no gap to close."""
+
+    value: float | None
+    low: float | None
+    high: float | None
+
+
+@dataclass(frozen=True)
+class GapTable:
+    """RMSE per channel in the log's units: rows of `rmse` are the models, columns the channels."""
+
+    channels: tuple[str, ...]
+    rmse: Array
+    floor: Array
+    floor_source: str
+    closed: Closed
+    runs: tuple[str, ...]
+
+
+def replay_all(
+    machine: Machine, runs: Sequence[Run], noise: Noise, sets: Sequence[Array]
+) -> list[Replays]:
+    """Replay every parameter set over every run; each model's own filter finds its states."""
+    columns = []
+    for values in sets:
+        tracks = track_all(machine, runs, values, noise)
+        errors = machine.engine.replays(
+            [run.recording for run in runs], tracks, values[None], 1e-3, WINDOW_S
+        )
+        columns.append([(e[0], t) for e, t in zip(errors, tracks, strict=True)])
+    replays = []
+    for index, run in enumerate(runs):
+        sampled = np.where(np.isnan(run.outputs), np.nan, 1.0)
+        errors = np.stack([column[index][0] for column in columns]) * sampled * run.scale
+        last_track = columns[-1][index][1]
+        floor = last_track.replay_variance.reshape(run.outputs.shape) * run.scale**2
+        counted = run.t_s >= run.t_s[0] + SETTLE_S
+        replays.append(Replays(run, errors, floor, counted))
+    return replays
+
+
+def gap_table(replays: Sequence[Replays]) -> GapTable:
+    """Summarise replays whose first three models are believed, refit and after."""
+    run = replays[0].run
+    seen = [c for c in range(len(run.channels)) if any(_sampled(r, c) for r in replays)]
+    moments = np.stack([_moments(r) for r in replays])[:, :, seen]
+    repeated = _floor_from_repetitions(replays)
+    estimated = np.nanmean([_mean_floor(r) for r in replays], axis=0)
+    floor = (estimated if repeated is None else repeated)[seen]
+    source = "the predictor's noise" if repeated is None else "repeated manoeuvres"
+    rmse = np.sqrt(np.nanmean(moments, axis=0))
+    return GapTable(
+        tuple(run.channels[c] for c in seen),
+        rmse,
+        np.sqrt(floor),
+        source,
+        closed_fraction(replays, seen, floor),
+        tuple(r.run.name for r in replays),
+    )
+
+
+def closed_fraction(replays: Sequence[Replays], seen: Sequence[int], floor: Array) -> Closed:
+    """Return the closed share of the excess and its bootstrap interval."""
+    if len(replays) >= 3:
+        units = np.stack([_moments(r) for r in replays])[:, :, seen]
+    else:
+        units = np.concatenate([_window_moments(r) for r in replays])[:, :, seen]
+
+    def share(sample: Array) -> float:
+        # 1 is subtracted for the floor; channels count alike because each is in floors.
+        excess = np.nanmean(np.nanmean(sample, axis=0) / floor - 1.0, axis=1)
+        return float((excess[1] - excess[2]) / excess[1]) if excess[1] > 0.05 else np.nan
+
+    value = share(units)
+    if not np.isfinite(value):
+        return Closed(None, None, None)
+    rng = np.random.default_rng(0)
+    draws = rng.integers(0, len(units), (BOOTSTRAPS, len(units)))
+    shares = [share(units[draw]) for draw in draws]
+    finite = [s for s in shares if np.isfinite(s)]
+    low, high = np.percentile(finite, [5, 95]) if finite else (value, value)
+    return Closed(value, float(low), float(high))
+
+
+def _sampled(replays: Replays, channel: int) -> bool:
+    return bool(np.any(~np.isnan(replays.errors[0][replays.counted, channel])))
+
+
+def _moments(replays: Replays) -> Array:
+    """Mean square error (models, channels)."""
+    counted = replays.errors[:, replays.counted]
+    with np.errstate(invalid="ignore"):
+        return np.nansum(counted**2, axis=1) / np.sum(~np.isnan(counted), axis=1)
+
+
+def _window_moments(replays: Replays) -> Array:
+    """Mean square error of each one-second window (windows, models, channels)."""
+    t_s = replays.run.t_s
+    number = ((t_s - t_s[0] - SETTLE_S) / WINDOW_S).astype(int)
+    number[~replays.counted] = -1
+    windows = []
+    for window in range(number.max() + 1):
+        errors = replays.errors[:, number == window]
+        count = np.sum(~np.isnan(errors), axis=1)
+        windows.append(np.nansum(errors**2, axis=1) / np.maximum(count, 1))
+    return np.stack(windows)
+
+
+def _mean_floor(replays: Replays) -> Array:
+    sampled = ~np.isnan(replays.errors[0]) & replays.counted[:, None]
+    total = np.where(sampled, replays.floor_variance, 0.0).sum(axis=0)
+    count = sampled.sum(axis=0)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+def _floor_from_repetitions(replays: Sequence[Replays]) -> Array | None:
+    """Half the variance of the difference of replay errors between runs of one manoeuvre.
+
+    The model's error is the same in both and cancels; what is left is chance.
+    """
+    found = []
+    for first in range(len(replays)):
+        for second in range(first + 1, len(replays)):
+            if _repeats(replays[first].run, replays[second].run):
+                found.append(_difference_variance(replays[first], replays[second]))
+    return np.nanmean(found, axis=0) if found else None
+
+
+def _repeats(one: Run, other: Run) -> bool:
+    end = min(one.t_s[-1], other.t_s[-1])
+    grid = np.linspace(max(one.t_s[0], other.t_s[0]), end, 400)
+    a, b = (
+        np.stack([np.interp(grid, run.t_s, c) for c in run.command.T]).ravel()
+        for run in (one, other)
+    )
+    if min(np.std(a), np.std(b)) == 0 or end < 0.8 * max(one.t_s[-1], other.t_s[-1]):
+        return False
+    return float(np.corrcoef(a, b)[0, 1]) > SAME_MANOEUVRE
+
+
+def _difference_variance(one: Replays, other: Replays) -> Array:
+    """(channels,) over the times when both were sampled."""
+    end = min(one.run.t_s[-1], other.run.t_s[-1])
+    result = []
+    for channel in range(len(one.run.channels)):
+        series = []
+        for r in (one, other):
+            error = r.errors[-1][:, channel]
+            good = ~np.isnan(error) & r.counted & (r.run.t_s <= end)
+            series.append((r.run.t_s[good], error[good]))
+        if min(len(series[0][0]), len(series[1][0])) < 10:
+            result.append(np.nan)
+            continue
+        other_error = np.interp(series[0][0], *series[1])
+        result.append(float(np.mean((series[0][1] - other_error) ** 2) / 2))
+    return np.array(result)
+
+
+def evaluate_model(
+    model_path: Path, log_paths: Sequence[Path], progress: Callable[[str], None]
+) -> dict[str, Any]:
+    """Return RMSE of one-second replays and noise floor per channel, for any model on any runs."""
+    machine = Machine(read_model(model_path))
+    runs = [make_run(machine, read_log(path, machine.kind)) for path in log_paths]
+    progress("tuning the noise")
+    noise = tune_noise(machine, runs, machine.believed)
+    progress("replaying")
+    table = gap_table(replay_all(machine, runs, noise, [machine.believed] * 3))
+    return {
+        "model": str(model_path),
+        "runs": list(table.runs),
+        "channels": {
+            channel: {"rmse": float(table.rmse[0, c]), "noise_floor": float(table.floor[c])}
+            for c, channel in enumerate(table.channels)
+        },
+        "noise_floor_source": table.floor_source,
+    }

@@ -1,0 +1,133 @@
+"""The noise of the predictor: how much of a prediction error is chance.
+
+The extended Kalman filter of the engine needs variances: per second for the states that the world
+pushes at random (shaft speeds, body velocity, yaw rate), per sample for each sensor. They are
+fitted by maximum likelihood of the innovations. The sizes start from the data: second differences
+of a sensor hold its noise and hardly any motion.
+"""
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import minimize
+
+from omnislip import _core
+from omnislip.gap.machine import Machine
+from omnislip.gap.recordings import Run
+
+Array = npt.NDArray[np.float64]
+
+SHAFT, BODY, YAW = slice(0, 4), slice(8, 10), 10
+GYRO, POSE_XY, HEADING = 4, slice(5, 7), 7
+TUNING_TIME_S = 24.0
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Variances: `process` (states,) per second, `output` (outputs,), `initial` (states,).
+
+    `timing_s2` is the variance of the rows' times.
+    """
+
+    process: Array
+    output: Array
+    initial: Array
+    timing_s2: float
+    logs: Array
+    """Logarithms of the fitted variances."""
+
+
+def track_all(machine: Machine, runs: Sequence[Run], values: Array, noise: Noise) -> list:
+    """Run the filter of one parameter set over all runs, on all cores."""
+
+    def one(run: Run) -> _core.Track:
+        return machine.engine.track(
+            run.recording, values, noise.process, noise.output, noise.initial, noise.timing_s2
+        )
+
+    with ThreadPoolExecutor() as pool:
+        return list(pool.map(one, runs))
+
+
+def tune_noise(
+    machine: Machine, runs: Sequence[Run], values: Array, start: "Noise | None" = None
+) -> Noise:
+    """Fit the variances on up to 24 s of the runs by maximum likelihood (Nelder-Mead in logs).
+
+    `start` is a noise that was fitted before; from there few steps are enough.
+    """
+    chosen = _first_runs(runs)
+    make = _robot_noise if machine.kind == "robot" else _axis_noise
+    guess = _robot_start(chosen) if machine.kind == "robot" else _axis_start(chosen)
+    first = guess if start is None else start.logs
+
+    def cost(logs: Array) -> float:
+        noise = make(machine, logs)
+        total = sum(t.log_likelihood for t in track_all(machine, chosen, values, noise))
+        pull = np.sum((logs - guess) ** 2) / 50.0
+        return pull - total if np.isfinite(total) else 1e12
+
+    simplex = first + np.vstack([np.zeros(len(first)), -np.eye(len(first))])
+    evaluations = 160 if start is None else 70
+    options = {"initial_simplex": simplex, "maxfev": evaluations, "xatol": 0.1, "fatol": 2.0}
+    best = minimize(cost, first, method="Nelder-Mead", options=options)
+    return make(machine, best.x)
+
+
+def _first_runs(runs: Sequence[Run]) -> list[Run]:
+    chosen, total = [], 0.0
+    for run in runs:
+        chosen.append(run)
+        total += run.duration_s
+        if total >= TUNING_TIME_S:
+            break
+    return chosen
+
+
+def _difference_variance(values: Array) -> float:
+    """Variance of white noise from its second differences (6 times as large); median, robust."""
+    sampled = values[~np.isnan(values)]
+    second = np.diff(sampled, 2)
+    return float(np.median(np.abs(second)) ** 2 / 0.6745**2 / 6.0) if second.size else 0.0
+
+
+def _median_variance(runs: Sequence[Run], columns: Sequence[int], least: float) -> float:
+    found = [_difference_variance(run.outputs[:, c]) for run in runs for c in columns]
+    return max(float(np.median(found)), least)
+
+
+def _robot_start(runs: Sequence[Run]) -> Array:
+    gyro = _median_variance(runs, [GYRO], 1e-7)
+    place = _median_variance(runs, [5, 6], 1e-8)
+    heading = _median_variance(runs, [HEADING], 1e-8)
+    # A 1 N push on 20 kg for 20 ms at random; 1 % of a motor's stall acceleration likewise.
+    # Times are written with 0.01 to 1 ms.
+    return np.log([100.0, 1e-3, 1e-2, gyro, place, heading, 1e-9])
+
+
+def _robot_noise(machine: Machine, logs: Array) -> Noise:
+    shaft, body, yaw, gyro, place, heading, timing = np.exp(logs)
+    process = np.zeros(14)
+    process[SHAFT], process[BODY], process[YAW] = shaft, body, yaw
+    count_rad = 2 * np.pi / float(machine.model.values["encoder.counts_per_rev"])
+    output = np.empty(8)
+    output[:4] = count_rad**2 / 12
+    output[GYRO], output[POSE_XY], output[HEADING] = gyro, place, heading
+    initial = np.array([25.0] * 4 + [count_rad**2] * 4 + [0.02, 0.02, 0.05, 1e-4, 1e-4, 1e-4])
+    return Noise(process, output, initial, float(timing), logs)
+
+
+def _axis_start(runs: Sequence[Run]) -> Array:
+    place = _median_variance(runs, [0], 1e-18)
+    step_s = float(np.median(np.diff(runs[0].t_s)))
+    # Speed that the noise of two positions would feign, gained within 50 rows.
+    return np.log([place / step_s**2 / (50 * step_s), place])
+
+
+def _axis_noise(machine: Machine, logs: Array) -> Noise:
+    push, place = np.exp(logs)
+    process, output = np.array([push, 0.0]), np.array([place])
+    return Noise(process, output, np.array([place * 1e6, place]), 0.0, logs)

@@ -1,0 +1,112 @@
+"""Logs as the replay engine takes them: outputs in SI, wraps removed, a first guess of the state."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from omnislip import _core
+from omnislip.gap.machine import Machine
+from omnislip.log_file import Log
+
+Array = npt.NDArray[np.float64]
+
+ROBOT_CHANNELS = (
+    *(f"wheel/{wheel}/encoder_counts" for wheel in range(1, 5)),
+    "gyro/z_rad_s",
+    "pose/x_m",
+    "pose/y_m",
+    "pose/theta_rad",
+)
+
+
+@dataclass(frozen=True)
+class Run:
+    """One recording: a log, or a piece of one.
+
+    `outputs` (rows, channels) in the engine's units (encoder angles in rad, pose unwrapped), NaN
+    where not sampled; `scale` (channels,) turns them into the units of the log's columns.
+    """
+
+    name: str
+    t_s: Array
+    command: Array
+    outputs: Array
+    channels: tuple[str, ...]
+    scale: Array
+    recording: _core.Recording
+
+    @property
+    def duration_s(self) -> float:
+        """Time from the first row to the last."""
+        return float(self.t_s[-1] - self.t_s[0])
+
+
+def make_run(machine: Machine, log: Log, begin: int = 0, end: int | None = None) -> Run:
+    """Turn rows begin..end of a log into a run."""
+    rows = slice(begin, end)
+    t_s = np.ascontiguousarray(log.t_s[rows])
+    if machine.kind == "robot":
+        command, outputs, state = _robot_signals(machine, log, rows, t_s)
+        channels: tuple[str, ...] = ROBOT_CHANNELS
+        counts_per_rad = machine.model.values["encoder.counts_per_rev"] / (2 * np.pi)
+        scale = np.array([counts_per_rad] * 4 + [1.0] * 4)
+    else:
+        position = "axis/position_m" if machine.linear else "axis/position_rad"
+        command = np.ascontiguousarray(log.columns["axis/command"][rows, None])
+        outputs = np.ascontiguousarray(log.columns[position][rows, None])
+        span = min(len(t_s) - 1, 5)
+        speed = (outputs[span, 0] - outputs[0, 0]) / (t_s[span] - t_s[0])
+        state = np.array([speed, outputs[0, 0]])
+        channels, scale = (position,), np.ones(1)
+    recording = machine.engine.recording(t_s, command, outputs, state)
+    return Run(log.name, t_s, command, outputs, channels, scale, recording)
+
+
+def unwrap_counts(counts: Array) -> Array:
+    """Return cumulative counts from counts that may wrap at 16 bit, starting at 0.
+
+    Right as long as a wheel moves less than 32768 counts from row to row.
+    """
+    step = (np.diff(counts) + 32768) % 65536 - 32768
+    return np.concatenate([[0.0], np.cumsum(step)])
+
+
+def _robot_signals(
+    machine: Machine, log: Log, rows: slice, t_s: Array
+) -> tuple[Array, Array, Array]:
+    columns = {name: values[rows] for name, values in log.columns.items()}
+    blank = np.full(len(t_s), np.nan)
+    command = np.stack([columns[f"wheel/{w}/duty"] for w in range(1, 5)], axis=1)
+    rad_per_count = 2 * np.pi / float(machine.model.values["encoder.counts_per_rev"])
+    angles = [unwrap_counts(columns[name]) * rad_per_count for name in ROBOT_CHANNELS[:4]]
+    others = [columns.get(name, blank) for name in ROBOT_CHANNELS[4:]]
+    others[3] = _unwrap_sampled(others[3])
+    outputs = np.stack([*angles, *others], axis=1)
+    return np.ascontiguousarray(command), outputs, _first_state(machine, t_s, outputs)
+
+
+def _unwrap_sampled(angle_rad: Array) -> Array:
+    sampled = ~np.isnan(angle_rad)
+    result = angle_rad.copy()
+    result[sampled] = np.unwrap(angle_rad[sampled])
+    return result
+
+
+def _first_state(machine: Machine, t_s: Array, outputs: Array) -> Array:
+    """Wheel speeds from the first rows, body velocity by J+ of eq. (3), pose from its first row."""
+    span = min(len(t_s) - 1, 3)
+    speed = (outputs[span, :4] - outputs[0, :4]) / (t_s[span] - t_s[0])
+    values = machine.model.values
+    rim = speed * values["robot.wheel_radius_m"] / values["motor.gear_ratio"]
+    velocity = np.linalg.pinv(wheel_jacobian(machine)) @ rim
+    first = [column[~np.isnan(column)][:1] for column in outputs[:, 5:].T]
+    pose = [float(value[0]) if value.size else 0.0 for value in first]
+    return np.concatenate([speed, outputs[0, :4], velocity, pose])
+
+
+def wheel_jacobian(machine: Machine) -> Array:
+    """J of eq. (3), (4, 3): body velocity to rim speeds."""
+    angles = np.deg2rad(np.asarray(machine.model.values["robot.wheel_angles_deg"]))
+    distance = float(machine.model.values["robot.wheel_distance_m"])
+    return np.stack([-np.sin(angles), np.cos(angles), np.full(4, distance)], axis=1)

@@ -1,0 +1,311 @@
+"""The report of `omnislip gap find`: one HTML page that needs no other file and no network.
+
+The numbers are those of gap.json (`to_json`); the page adds pictures, the trials of the search and
+what is needed to repeat the work. The words stand in report.html.j2, the drawing in
+report_pictures.py.
+"""
+
+import platform
+from collections.abc import Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+from omnislip.gap import find, metrics, report_pictures, search
+from omnislip.gap.find import Findings, to_json
+from omnislip.gap.machine import Candidate, Machine
+from omnislip.gap.metrics import Replays
+from omnislip.gap.search import Trial
+from omnislip.model_file import format_model
+
+Json = dict[str, Any]
+
+HEADLINES = {
+    "effect_found": "Missing effect found",
+    "no_gap": "No gap found",
+    "unknown_effect": "Something unknown is missing",
+    "insufficient_data": "Not enough data",
+}
+CHANNELS = {
+    **{f"wheel/{w}/encoder_counts": (f"encoder {w}", "counts") for w in range(1, 5)},
+    "gyro/z_rad_s": ("gyro", "rad/s"),
+    "pose/x_m": ("position x", "m"),
+    "pose/y_m": ("position y", "m"),
+    "pose/theta_rad": ("heading", "rad"),
+    "axis/position_m": ("position", "m"),
+    "axis/position_rad": ("angle", "rad"),
+}
+EQUATIONS = {
+    **{f"wheel/{w}/torque": f"wheel {w}: torque" for w in range(1, 5)},
+    "body/force_x": "body: force along x",
+    "body/force_y": "body: force along y",
+    "body/moment": "body: turning moment",
+    "pose/position": "position or camera",
+    "pose/heading": "heading or camera",
+    "axis/force": "force balance",
+    "axis/position": "position or sensor",
+}
+MODELS = ("believed", "refitted", "with effect")
+KEY_BOUND = 2.0
+"""Standard deviations that the fit may move a believed key."""
+SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def render(findings: Findings, command_line: str) -> str:
+    """Return the report as the text of an HTML file; `command_line` is what the user typed."""
+    numbers = to_json(findings)
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).parent),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["number"] = format_number
+    with mpl.rc_context(report_pictures.STYLE):
+        return environment.get_template("report.html.j2").render(
+            numbers=numbers,
+            headline=_headline(numbers),
+            name=findings.machine.model.name or findings.machine.kind,
+            added_text=_added_text(findings),
+            effects=_effects(findings, numbers),
+            gap=_gap(findings, numbers),
+            where=_where(findings),
+            overlays=_overlays(findings.replays),
+            steps=_steps(findings),
+            limits=_limits(findings.machine, numbers["detection_limits"]),
+            keys=_keys(numbers["base"]),
+            held_out=_names(findings.split.held_out),
+            command_line=command_line,
+            versions=_versions(),
+            thresholds=_thresholds(),
+        )
+
+
+def format_number(value: float | None) -> str:
+    """Return three significant digits, with a power of ten where plain digits would be long."""
+    if value is None or not np.isfinite(value):
+        return "–"
+    if value == 0 or 1e-3 <= abs(value) < 1e5:
+        text = f"{value:#.3g}" if abs(value) < 100 else f"{value:.0f}"
+        return text.replace("-", "−")
+    mantissa, exponent = f"{value:.2e}".split("e")
+    return f"{mantissa} × 10{str(int(exponent)).translate(SUPERSCRIPTS)}".replace("-", "−")
+
+
+def _headline(numbers: Json) -> str:
+    if any(effect["ambiguous_with"] for effect in numbers["effects"]):
+        return "Missing effect found, its name is not certain"
+    return HEADLINES[numbers["verdict"]]
+
+
+def _added_text(findings: Findings) -> str:
+    """Return the effect tables of the amended model file that the given one does not have."""
+    blocks = format_model(findings.amended).strip().split("\n\n")
+    tables = [block for block in blocks if block.startswith("[[effects.")]
+    return "\n\n".join(tables[len(findings.machine.model.effects) :])
+
+
+def _effects(findings: Findings, numbers: Json) -> list[Json]:
+    """One entry per found effect: its catalogue text, sizes and rivals."""
+    if not findings.outcome:
+        return []
+    machine = findings.machine
+    return [
+        {
+            "name": selected.candidate.name,
+            "entry": machine.catalogue[selected.candidate.effect],
+            "sizes": [
+                {"name": name, "unit": _unit(machine, selected.candidate, name), **size}
+                for name, size in effect["parameters"].items()
+            ],
+            "rivals": [(rival, _summary(machine, rival)) for rival in effect["ambiguous_with"]],
+            "manoeuvre": effect["separating_manoeuvre"],
+        }
+        for selected, effect in zip(findings.outcome.selected, numbers["effects"], strict=True)
+    ]
+
+
+def _unit(machine: Machine, candidate: Candidate, file_name: str) -> str:
+    """Unit of a parameter named as in the model file; nothing for a bare number."""
+    label = next(
+        p.label for p in candidate.parameters if machine.file_parameter(p.label) == file_name
+    )
+    unit = machine.unit(candidate.effect, label)
+    return "" if unit == "1" else unit
+
+
+def _summary(machine: Machine, candidate_name: str) -> str:
+    return machine.catalogue[candidate_name.split(" ")[0]]["summary"]
+
+
+def _gap(findings: Findings, numbers: Json) -> Json | None:
+    """Rows of the gap table and its picture; the last model only where an effect was added."""
+    table = findings.table
+    if table is None:
+        return None
+    models = MODELS if findings.amended.effects != findings.machine.model.effects else MODELS[:2]
+    rows = [
+        {"name": CHANNELS[channel][0], "channel": channel, "unit": CHANNELS[channel][1], **figures}
+        for channel, figures in numbers["gap"]["channels"].items()
+    ]
+    names = [row["name"] for row in rows]
+    return {
+        "rows": rows,
+        "with_effect": models is MODELS,
+        "picture": report_pictures.gap_picture(table, names, models),
+        **numbers["gap"],
+    }
+
+
+def _where(findings: Findings) -> Json | None:
+    """Places of the gap in words, and pictures of its equations and times."""
+    gap_map = findings.gap_map
+    if gap_map is None or not gap_map.shares.any():
+        return None
+    robot = None
+    if findings.machine.kind == "robot":
+        angles = findings.machine.model.values["robot.wheel_angles_deg"]
+        robot = report_pictures.robot_picture(angles, gap_map.shares[:7])
+    runs = [run.name for run in (*findings.split.fitting, *findings.split.validation)]
+    equations = [EQUATIONS[equation] for equation in gap_map.equations]
+    return {
+        "places": [
+            {"name": EQUATIONS[p.channel], "condition": p.condition, "share": p.share,
+             "windows": p.windows_s}
+            for p in findings.places
+        ],
+        "robot": robot,
+        "shares": report_pictures.share_picture(equations, gap_map.shares),
+        "times": report_pictures.time_picture(runs, gap_map, findings.places),
+    }
+
+
+def _overlays(replays: Sequence[Replays]) -> list[Json]:
+    """Pictures of every held-out run, the one with the largest gap first."""
+    return [
+        {"name": one.run.name, "pictures": _run_pictures(one)}
+        for one in sorted(replays, key=_size_of_gap, reverse=True)
+    ]
+
+
+def _size_of_gap(replays: Replays) -> float:
+    """Mean square error of the refitted model in units of the noise."""
+    ratio = replays.errors[1][replays.counted] ** 2 / replays.floor_variance[replays.counted]
+    return float(np.nanmean(ratio))
+
+
+def _run_pictures(replays: Replays) -> list[Json]:
+    pictures = []
+    for index, channel in enumerate(replays.run.channels):
+        if np.all(np.isnan(replays.errors[0][replays.counted, index])):
+            continue
+        name, unit = CHANNELS[channel]
+        picture = report_pictures.replay_picture(replays, index, unit, unit == "counts")
+        pictures.append({"name": name, "channel": channel, "source": picture})
+    return pictures
+
+
+def _steps(findings: Findings) -> list[Json]:
+    """Trials of the search, step by step, with a ranking picture each."""
+    if not findings.outcome:
+        return []
+    trials = findings.outcome.trials
+    steps = []
+    for number in sorted({trial.step for trial in trials}):
+        own = [trial for trial in trials if trial.step == number]
+        steps.append(
+            {
+                "number": number,
+                "picture": report_pictures.ranking_picture(own),
+                "trials": [
+                    {"trial": trial, "sizes": _trial_sizes(findings.machine, trial)}
+                    for trial in own
+                ],
+            }
+        )
+    return steps
+
+
+def _trial_sizes(machine: Machine, trial: Trial) -> list[str]:
+    sizes = []
+    for parameter, value in zip(trial.candidate.parameters, trial.values, strict=True):
+        name = machine.file_parameter(parameter.label)
+        unit = _unit(machine, trial.candidate, name)
+        sizes.append(f"{name} {format_number(float(value))} {unit}".strip())
+    return sizes
+
+
+def _limits(machine: Machine, limits: dict[str, dict[str, float]]) -> list[Json]:
+    """Detection limits, the best seen effects first (limit over the size worth looking for)."""
+    rows = []
+    for candidate in machine.candidates():
+        for index in candidate.amplitudes:
+            parameter = candidate.parameters[index]
+            name = machine.file_parameter(parameter.label)
+            limit = limits.get(candidate.name, {}).get(name)
+            if limit is None:
+                continue
+            neutral = machine.believed[parameter.places[0]]
+            rows.append(
+                {
+                    "effect": candidate.name,
+                    "summary": machine.catalogue[candidate.effect]["summary"],
+                    "parameter": name,
+                    "unit": _unit(machine, candidate, name),
+                    "limit": limit,
+                    "typical": parameter.scale,
+                    "visible": limit <= max(parameter.high - neutral, neutral - parameter.low),
+                }
+            )
+    return sorted(rows, key=lambda row: row["limit"] / row["typical"])
+
+
+def _keys(base: Json) -> Json | None:
+    """How the believed keys moved: rows and picture."""
+    if not base:
+        return None
+    rows = [
+        {"key": key, "at_bound": abs(moved["standard_deviations"]) >= KEY_BOUND - 1e-6, **moved}
+        for key, moved in base.items()
+    ]
+    deviations = [row["standard_deviations"] for row in rows]
+    names = [row["key"] for row in rows]
+    picture = report_pictures.keys_picture(names, deviations, KEY_BOUND)
+    return {"rows": rows, "picture": picture, "bound": KEY_BOUND}
+
+
+def _names(runs: Sequence[Any]) -> list[str]:
+    return list(dict.fromkeys(run.name for run in runs))
+
+
+def _versions() -> dict[str, str]:
+    packages = ("omnislip", "numpy", "scipy")
+    return {**{p: version(p) for p in packages}, "Python": platform.python_version()}
+
+
+def _thresholds() -> list[tuple[str, str]]:
+    """The numbers that decide, each with what it decides."""
+    return [
+        (
+            f"{search.ALPHA:g}",
+            "largest probability that chance alone gives such a gain, over everything tried",
+        ),
+        (
+            f"{100 * search.VALIDATION_SHARE:g} %",
+            "least share of the checking runs that an effect must improve",
+        ),
+        (f"{100 * search.LEAST_SHARE:g} %", "least share of all that the effects have gained"),
+        (
+            f"{search.RIVAL_MARGIN:g}",
+            "a rival whose gain is smaller by less than this cannot be told from the effect",
+        ),
+        (f"{search.MOST_EFFECTS}", "most effects that are added"),
+        (f"{search.REFITS}", "candidates of each step that are fitted fully"),
+        (f"{find.LEAST_TIME_S:g} s", "least total length of the logs"),
+        (f"{metrics.WINDOW_S:g} s", "length of a replay before it starts again"),
+    ]

@@ -1,0 +1,178 @@
+"""Where the gap sits: in which equation, at which wheel, in which state, at what time.
+
+The filter of the refitted model corrects its state at every row. A correction of a shaft speed is a
+torque that the model lacks, one of the body velocity a force, one of the yaw rate a moment; divided
+by what noise alone would make of it (its standard deviation in the filter) it says where and when
+the model fails. What the effects explain is the fall of these squared corrections from the refitted
+model to the one with the effects: its share per equation is the pattern, its concentration over a
+state is the condition, its windows are the times.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from omnislip.gap.machine import Machine
+from omnislip.gap.noise import Noise, track_all
+from omnislip.gap.recordings import Run
+
+Array = npt.NDArray[np.float64]
+
+ROBOT_EQUATIONS = {
+    **{f"wheel/{wheel}/torque": (wheel - 1,) for wheel in range(1, 5)},
+    "body/force_x": (8,),
+    "body/force_y": (9,),
+    "body/moment": (10,),
+    "pose/position": (11, 12),
+    "pose/heading": (13,),
+}
+AXIS_EQUATIONS = {"axis/force": (0,), "axis/position": (1,)}
+WINDOW_S = 0.25
+LEAST_SHARE = 0.05
+MOST_ROWS = 4
+
+
+@dataclass(frozen=True)
+class Place:
+    """One equation that holds a share of the gap, when, and under which condition."""
+
+    channel: str
+    condition: str
+    share: float
+    windows_s: tuple[tuple[str, float, float], ...]
+
+
+@dataclass(frozen=True)
+class Map:
+    """Excess of squared corrections over chance: `excess` per run (rows, equations)."""
+
+    equations: tuple[str, ...]
+    t_s: tuple[Array, ...]
+    excess: tuple[Array, ...]
+    shares: Array
+
+
+def map_gap(
+    machine: Machine, runs: Sequence[Run], noise: Noise, refit: Array, after: Array | None
+) -> Map:
+    """Return where the refitted model is corrected more than the one with effects (or chance)."""
+    equations = ROBOT_EQUATIONS if machine.kind == "robot" else AXIS_EQUATIONS
+    before = _corrections(machine, runs, noise, refit, equations)
+    if after is None:
+        excess = [b - np.sum(b > 0, axis=0, keepdims=True) / len(b) for b in before]
+    else:
+        later = _corrections(machine, runs, noise, after, equations)
+        excess = [b - a for b, a in zip(before, later, strict=True)]
+    total = np.maximum(sum(e.sum(axis=0) for e in excess), 0.0)
+    shares = total / max(total.sum(), 1e-12)
+    return Map(tuple(equations), tuple(run.t_s for run in runs), tuple(excess), shares)
+
+
+def describe(runs: Sequence[Run], gap_map: Map) -> list[Place]:
+    """Put the map into words: equations with their share, condition and worst windows."""
+    states = [_coordinates(run) for run in runs]
+    places = []
+    for index in np.argsort(-gap_map.shares)[:MOST_ROWS]:
+        share = float(gap_map.shares[index])
+        if share < LEAST_SHARE:
+            break
+        columns = [e[:, index] for e in gap_map.excess]
+        channel = gap_map.equations[index]
+        condition = _condition(columns, states, channel)
+        places.append(Place(channel, condition, share, _worst_windows(runs, columns)))
+    return places
+
+
+def _corrections(
+    machine: Machine, runs: Sequence[Run], noise: Noise, values: Array, equations: dict
+) -> list[Array]:
+    """Squared corrections over their expected variance (rows, equations) of each run."""
+    states, outputs = machine.engine.states, machine.engine.outputs
+    result = []
+    for run, track in zip(runs, track_all(machine, runs, values, noise), strict=True):
+        rows = len(run.t_s)
+        gain = track.gain.reshape(rows, states, outputs)
+        innovation = np.nan_to_num(track.innovation.reshape(rows, outputs))
+        change = np.einsum("rij,rj->ri", gain, innovation)
+        expected = track.correction_variance.reshape(rows, states)
+        ratio = np.divide(change**2, expected, out=np.zeros_like(change), where=expected > 0)
+        ratio[run.t_s < run.t_s[0] + WINDOW_S] = 0.0
+        result.append(np.stack([ratio[:, own].mean(axis=1) for own in equations.values()], axis=1))
+    return result
+
+
+def _coordinates(run: Run) -> dict[str, Array]:
+    """Quantities a condition may name, one value per row; `wheel/i/...` belong to wheel i."""
+    step = np.diff(run.t_s, append=run.t_s[-1] + np.median(np.diff(run.t_s)))
+    motors = run.command.shape[1]
+    angles = run.outputs[:, :motors]
+    speed = np.gradient(angles, run.t_s, axis=0)
+    speed = _smooth(speed)
+    acceleration = np.gradient(speed, run.t_s, axis=0)
+    found: dict[str, Array] = {"time": run.t_s - run.t_s[0]}
+    for i in range(motors):
+        own = f"{i + 1}|" if motors > 1 else "1|"
+        found[own + "speed"] = np.abs(speed[:, i])
+        found[own + "signed speed"] = speed[:, i]
+        found[own + "command"] = np.abs(run.command[:, i])
+        found[own + "driving"] = run.command[:, i] * np.sign(speed[:, i])
+        found[own + "acceleration"] = np.abs(acceleration[:, i])
+    found["total command"] = np.sum(np.abs(run.command), axis=1)
+    del step
+    return found
+
+
+def _smooth(values: Array) -> Array:
+    kernel = np.ones(5) / 5
+    return np.stack([np.convolve(column, kernel, mode="same") for column in values.T], axis=1)
+
+
+PHRASES = {
+    "time": ("early in the run", "late in the run"),
+    "speed": ("at low speed", "at high speed"),
+    "signed speed": ("turning backwards", "turning forwards"),
+    "command": ("at small command", "at large command"),
+    "driving": ("while braking", "while driving"),
+    "acceleration": ("at steady speed", "while accelerating"),
+    "total command": ("while the motors draw little", "while all motors draw much"),
+}
+
+
+def _condition(columns: list[Array], states: list[dict[str, Array]], channel: str) -> str:
+    """Return the third of a coordinate that holds most of the excess, as a sentence."""
+    wheel = channel.split("/")[1] if channel.startswith("wheel/") else "1"
+    excess = np.concatenate(columns)
+    total = excess.sum()
+    if total <= 0:
+        return "everywhere"
+    best, sentence = 0.0, "everywhere"
+    for name in states[0]:
+        owner, _, short = name.rpartition("|")
+        if owner and owner != wheel:
+            continue
+        values = np.concatenate([s[name] for s in states])
+        for side, phrase in enumerate(PHRASES[short]):
+            edge = np.percentile(values, 33 if side == 0 else 67)
+            inside = values <= edge if side == 0 else values >= edge
+            share, time = excess[inside].sum() / total, inside.mean()
+            if share - time > best and share > 0.5:
+                best = share - time
+                sentence = f"{phrase} ({100 * min(share, 1.0):.0f} % of it in {100 * time:.0f} % of the time)"
+    return sentence
+
+
+def _worst_windows(
+    runs: Sequence[Run], columns: list[Array]
+) -> tuple[tuple[str, float, float], ...]:
+    """The three quarter-second windows with most excess."""
+    found = []
+    for run, excess in zip(runs, columns, strict=True):
+        number = ((run.t_s - run.t_s[0]) / WINDOW_S).astype(int)
+        sums = np.bincount(number, excess)
+        for window in np.argsort(-sums)[:3]:
+            begin = float(run.t_s[0] + window * WINDOW_S)
+            found.append((float(sums[window]), (run.name, begin, begin + WINDOW_S)))
+    found.sort(reverse=True)
+    return tuple(place for _, place in found[:3])

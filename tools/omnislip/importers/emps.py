@@ -1,0 +1,63 @@
+"""EMPS: a motor with a ball screw that moves a carriage, two records of 24.84 s at 1 kHz.
+
+Source: A. Janot, M. Gautier, M. Brunot, "Data Set and Reference Models of EMPS", Workshop on
+Nonlinear System Identification Benchmarks, 2019. train.csv is their DATA_EMPS.mat, test.csv
+DATA_EMPS_PULSES.mat, the same movement with disturbance pulses in the command.
+
+The model is what a user would believe beforehand: force = 35.15 N/V of drive input, mass, viscous
+friction; no other friction and no offset.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import scipy.io
+
+from omnislip.errors import InputError
+from omnislip.log_file import Log, write_log
+from omnislip.model_file import Model, write_model
+
+RECORDS = {"train": "DATA_EMPS.mat", "test": "DATA_EMPS_PULSES.mat"}
+BELIEVED = Model(
+    kind="axis",
+    name="emps",
+    values={
+        "axis.mass_kg": 95.1,
+        "axis.input_gain_n_v": 35.1507,
+        "axis.viscous_friction_n_s_m": 203.5,
+    },
+    tolerance={"default": 0.05},
+)
+
+
+def import_emps(data: Path, out: Path) -> list[Path]:
+    """Write train.csv, test.csv and emps.toml to `out` from the files in `data`/emps.
+
+    Returns the paths written. InputError if a file is missing or not as the authors publish it;
+    nothing is written then.
+    """
+    logs = [_read_record(data / "emps" / file, name) for name, file in RECORDS.items()]
+    written = []
+    for log in logs:
+        written.append(out / f"{log.name}.csv")
+        write_log(log, written[-1])
+    written.append(out / "emps.toml")
+    write_model(BELIEVED, written[-1])
+    return written
+
+
+def _read_record(path: Path, name: str) -> Log:
+    if not path.is_file():
+        raise InputError(
+            f"{path}: not found; fetch it with tools/fetch-data, or name its folder with --data"
+        )
+    try:
+        record = scipy.io.loadmat(path, variable_names=["t", "qm", "vir"])
+        t_s, position_m, drive_v = (
+            record[key].ravel().astype(np.float64) for key in ("t", "qm", "vir")
+        )
+    except (ValueError, TypeError, KeyError) as error:
+        raise InputError(f"{path}: not the EMPS record: {error}") from None
+    if not len(t_s) == len(position_m) == len(drive_v):
+        raise InputError(f"{path}: not the EMPS record: t, qm and vir differ in length")
+    return Log(name, t_s, {"axis/command": drive_v, "axis/position_m": position_m})

@@ -1,0 +1,339 @@
+"""The model file robot.toml: what is believed about a machine, how well, and its extra effects.
+
+[model] kind says what the machine is (default "robot"):
+    robot     four driven omni wheels; tables [robot] [motor] [contact] [encoder]
+    axis      one driven axis, translating (mass_kg, N) or turning (inertia_kg_m2, N m)
+    odometry  geometry of a robot with any number of omni wheels, encoders only
+
+[tolerance] gives the relative standard deviation of each believed value: `default` and one entry
+per key. Each [[effects.NAME]] table adds one effect of the catalogue to the model. Every key has
+its unit in its name; unknown and missing keys are errors.
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from omnislip import _core
+from omnislip.errors import InputError
+from omnislip.files import (
+    check_known,
+    check_number,
+    check_numbers,
+    check_table,
+    load_toml,
+    write_text,
+)
+
+DEFAULT_TOLERANCE = 0.02
+NOMINAL_ROBOT = Path(__file__).parent / "robots" / "msl_omni_4.toml"
+
+POSITIVE = "greater than 0"
+NOT_NEGATIVE = "0 or more"
+COUNT = "a whole number greater than 0"
+ANGLES = "a list of angles, one per wheel"
+
+ROBOT_KEYS = {
+    "robot.mass_kg": POSITIVE,
+    "robot.inertia_kg_m2": POSITIVE,
+    "robot.wheel_radius_m": POSITIVE,
+    "robot.wheel_distance_m": POSITIVE,
+    "robot.wheel_angles_deg": ANGLES,
+    "motor.resistance_ohm": POSITIVE,
+    "motor.torque_constant_nm_a": POSITIVE,
+    "motor.back_emf_constant_v_s_rad": POSITIVE,
+    "motor.gear_ratio": POSITIVE,
+    "motor.inertia_kg_m2": POSITIVE,
+    "motor.viscous_friction_nm_s": NOT_NEGATIVE,
+    "motor.supply_v": POSITIVE,
+    "contact.mu_drive": POSITIVE,
+    "contact.mu_roller": NOT_NEGATIVE,
+    "contact.slip_stiffness_s_m": POSITIVE,
+    "contact.gravity_m_s2": POSITIVE,
+    "encoder.counts_per_rev": COUNT,
+}
+# Input gains: force (or torque) per volt, per ampere, or at duty 1.
+TRANSLATING_AXIS_KEYS = {
+    "axis.mass_kg": POSITIVE,
+    "axis.input_gain_n_v": POSITIVE,
+    "axis.input_gain_n_a": POSITIVE,
+    "axis.input_gain_n": POSITIVE,
+    "axis.back_emf_n_s_m": NOT_NEGATIVE,
+    "axis.viscous_friction_n_s_m": NOT_NEGATIVE,
+    "axis.supply_v": POSITIVE,
+}
+TURNING_AXIS_KEYS = {
+    "axis.inertia_kg_m2": POSITIVE,
+    "axis.input_gain_nm_v": POSITIVE,
+    "axis.input_gain_nm_a": POSITIVE,
+    "axis.input_gain_nm": POSITIVE,
+    "axis.back_emf_nm_s_rad": NOT_NEGATIVE,
+    "axis.viscous_friction_nm_s_rad": NOT_NEGATIVE,
+    "axis.pendulum_mass_kg": POSITIVE,
+    "axis.pendulum_length_m": POSITIVE,
+    "axis.gravity_m_s2": POSITIVE,
+    "axis.supply_v": POSITIVE,
+}
+# The catalogue of effects speaks of shafts. In the file of a translating axis its parameters have
+# the names, and so the units, of forces and speeds along the axis.
+TRANSLATING_NAMES = {
+    "torque_nm": "force_n",
+    "viscous_friction_nm_s": "viscous_friction_n_s_m",
+    "viscous_nm_s": "viscous_n_s_m",
+    "speed_rad_s": "speed_m_s",
+    "cycles_per_rev": "cycles_per_m_2pi",
+}
+ODOMETRY_KEYS = {
+    "odometry.wheel_radius_m": POSITIVE,
+    "odometry.wheel_distance_m": POSITIVE,
+    "odometry.wheel_angles_deg": ANGLES,
+    "odometry.counts_per_rev": COUNT,
+}
+KINDS = ("robot", "axis", "odometry")
+MIN_ODOMETRY_WHEELS = 3
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One effect of the catalogue; `wheel` None means all wheels, `run` None all runs."""
+
+    name: str
+    parameters: dict[str, float]
+    wheel: int | None = None
+    run: str | None = None
+
+
+@dataclass(frozen=True)
+class Model:
+    """A model file: flat keys such as 'robot.mass_kg', in SI units as their names say."""
+
+    kind: str
+    values: dict[str, float | list[float]]
+    tolerance: dict[str, float] = field(default_factory=lambda: {"default": DEFAULT_TOLERANCE})
+    effects: list[Effect] = field(default_factory=list)
+    name: str = ""
+    path: Path | None = None
+
+    def tolerance_of(self, key: str) -> float:
+        """Return the relative standard deviation with which the value of `key` is believed."""
+        return self.tolerance.get(key, self.tolerance["default"])
+
+    def to_core(self) -> tuple[dict[str, float], list[dict[str, Any]]]:
+        """Return parameters and effects of a robot as omnislip._core.simulate takes them.
+
+        Lists become one entry per element, 'robot.wheel_angles_deg[0]'. Parameters that an effect
+        leaves out get their neutral value.
+        """
+        parameters: dict[str, float] = {}
+        for key, value in self.values.items():
+            if isinstance(value, list):
+                parameters |= {f"{key}[{index}]": item for index, item in enumerate(value)}
+            else:
+                parameters[key] = value
+        return parameters, [_effect_to_core(effect) for effect in self.effects]
+
+
+def read_model(path: Path | str) -> Model:
+    """Read and check a model file. InputError names the file, the key and what would be right."""
+    path = Path(path)
+    data = load_toml(path)
+    header = check_table(data.pop("model", {}), "model", path)
+    check_known(header, ["kind"], "key in [model]", path)
+    kind = header.get("kind", "robot")
+    if kind not in KINDS:
+        raise InputError(f"{path}: model.kind must be one of {', '.join(KINDS)}, not {kind!r}")
+    tolerance = check_table(data.pop("tolerance", {}), "tolerance", path)
+    effects = check_table(data.pop("effects", {}), "effects", path)
+    name = data.get(kind, {}).pop("name", "") if isinstance(data.get(kind), dict) else ""
+    if not isinstance(name, str):
+        raise InputError(f"{path}: '{kind}.name' must be a text, not {name!r}")
+    values = _read_values(kind, data, path)
+    return Model(
+        kind=kind,
+        values=values,
+        tolerance=_read_tolerance(tolerance, values, path),
+        effects=_read_effects(effects, kind, values, path),
+        name=name,
+        path=path,
+    )
+
+
+def write_model(model: Model, path: Path | str) -> None:
+    """Write `model` so that read_model gives it back; whole or not at all."""
+    write_text(Path(path), format_model(model))
+
+
+def format_model(model: Model) -> str:
+    """Return the text of the model file."""
+    lines = ["# Model of a machine for omnislip. The unit of a value is in the name of its key."]
+    if model.kind != "robot":
+        lines += ["", "[model]", f"kind = {_toml(model.kind)}"]
+    for section, table in _sections(model).items():
+        lines += ["", f"[{section}]", *(f"{key} = {_toml(item)}" for key, item in table.items())]
+    lines += ["", "[tolerance] # relative standard deviation of the values above"]
+    lines += [f"{_toml_key(key)} = {_toml(item)}" for key, item in model.tolerance.items()]
+    for effect in model.effects:
+        lines += ["", f"[[effects.{effect.name}]]"]
+        lines += [f"{key} = {_toml(item)}" for key, item in _effect_table(effect).items()]
+    return "\n".join(lines) + "\n"
+
+
+def _sections(model: Model) -> dict[str, dict[str, Any]]:
+    sections: dict[str, dict[str, Any]] = {model.kind: {"name": model.name} if model.name else {}}
+    for flat_key, value in model.values.items():
+        section, key = flat_key.split(".")
+        sections.setdefault(section, {})[key] = value
+    return sections
+
+
+def _effect_table(effect: Effect) -> dict[str, Any]:
+    marks = {"wheel": effect.wheel, "run": effect.run}
+    return {key: item for key, item in marks.items() if item is not None} | effect.parameters
+
+
+def _toml(value: str | float | list[float]) -> str:
+    if isinstance(value, str):
+        # JSON strings are TOML strings, except that TOML wants DEL escaped too.
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, list):
+        return "[" + ", ".join(_toml(item) for item in value) + "]"
+    return repr(value)
+
+
+def _toml_key(key: str) -> str:
+    return _toml(key) if "." in key else key
+
+
+def _read_values(
+    kind: str, sections: Mapping[str, Any], path: Path
+) -> dict[str, float | list[float]]:
+    rules = _rules(kind, sections)
+    check_known(sections, {key.split(".")[0] for key in rules} | {kind}, "table", path)
+    flat = {
+        f"{section}.{key}": value
+        for section, table in sections.items()
+        for key, value in check_table(table, section, path).items()
+    }
+    check_known(flat, rules, "key", path)
+    _check_complete(kind, flat, rules, path)
+    return {
+        key: _read_value(flat[key], key, rules[key], kind, path) for key in rules if key in flat
+    }
+
+
+def _rules(kind: str, sections: Mapping[str, Any]) -> dict[str, str]:
+    if kind == "robot":
+        return ROBOT_KEYS
+    if kind == "odometry":
+        return ODOMETRY_KEYS
+    turning = "inertia_kg_m2" in sections.get("axis", {})
+    return TURNING_AXIS_KEYS if turning else TRANSLATING_AXIS_KEYS
+
+
+def _check_complete(kind: str, given: Mapping[str, Any], rules: dict[str, str], path: Path) -> None:
+    if kind == "axis":
+        _check_axis_complete(given, rules, path)
+        return
+    missing = [key for key in rules if key not in given]
+    if missing:
+        raise InputError(f"{path}: missing keys: {', '.join(missing)}")
+
+
+def _check_axis_complete(given: Mapping[str, Any], rules: dict[str, str], path: Path) -> None:
+    if "axis.mass_kg" not in given and "axis.inertia_kg_m2" not in given:
+        raise InputError(f"{path}: missing key: axis.mass_kg or axis.inertia_kg_m2")
+    gains = [key for key in rules if key.startswith("axis.input_gain")]
+    if sum(key in given for key in gains) != 1:
+        raise InputError(f"{path}: exactly one of these keys is needed: {', '.join(gains)}")
+    if ("axis.pendulum_mass_kg" in given) != ("axis.pendulum_length_m" in given):
+        raise InputError(
+            f"{path}: a pendulum needs both axis.pendulum_mass_kg and axis.pendulum_length_m"
+        )
+
+
+def _read_value(value: object, key: str, rule: str, kind: str, path: Path) -> float | list[float]:
+    if rule == ANGLES:
+        count = len(value) if isinstance(value, list) else 0
+        wanted = 4 if kind == "robot" else max(count, MIN_ODOMETRY_WHEELS)
+        return check_numbers(value, wanted, key, path)
+    number = check_number(value, key, path)
+    in_range = number >= 0 if rule == NOT_NEGATIVE else number > 0
+    if not in_range or (rule == COUNT and not number.is_integer()):
+        raise InputError(f"{path}: '{key}' must be {rule}, not {value}")
+    return number
+
+
+def _read_tolerance(
+    table: Mapping[str, Any], values: Mapping[str, Any], path: Path
+) -> dict[str, float]:
+    # "robot.mass_kg" = 0.01 and robot.mass_kg = 0.01 mean the same to a reader of the file.
+    flat: dict[str, Any] = {"default": DEFAULT_TOLERANCE}
+    for key, item in table.items():
+        nested = item if isinstance(item, dict) else {}
+        flat |= {f"{key}.{name}": value for name, value in nested.items()} or {key: item}
+    check_known(flat, ["default", *values], "key in [tolerance]", path)
+    tolerance = {key: check_number(item, f"tolerance.{key}", path) for key, item in flat.items()}
+    for key, item in tolerance.items():
+        if item < 0:
+            raise InputError(f"{path}: 'tolerance.{key}' must be {NOT_NEGATIVE}, not {item}")
+    return tolerance
+
+
+def _read_effects(
+    tables: Mapping[str, Any], kind: str, values: Mapping[str, Any], path: Path
+) -> list[Effect]:
+    catalogue = {entry["name"]: entry for entry in _core.effects()}
+    wheel_count = len(values.get(f"{kind}.wheel_angles_deg", []))
+    names = TRANSLATING_NAMES if "axis.mass_kg" in values else {}
+    check_known(tables, catalogue, "effect", path)
+    effects = []
+    for name, occurrences in tables.items():
+        entry = catalogue[name]
+        if not isinstance(occurrences, list):
+            raise InputError(f"{path}: effect '{name}' must be written [[effects.{name}]]")
+        if kind not in entry["kinds"]:
+            raise InputError(f"{path}: effect '{name}' does not apply to a model of kind '{kind}'")
+        known = [
+            names.get(parameter["name"], parameter["name"]) for parameter in entry["parameters"]
+        ]
+        effects += [_read_effect(entry, known, table, wheel_count, path) for table in occurrences]
+    return effects
+
+
+def _read_effect(
+    entry: dict[str, Any], known: list[str], table: object, wheel_count: int, path: Path
+) -> Effect:
+    where = f"effects.{entry['name']}"
+    table = dict(check_table(table, where, path))
+    wheel = _read_wheel(table.pop("wheel", None), entry, wheel_count, path)
+    run = table.pop("run", None)
+    if run is not None and not isinstance(run, str):
+        raise InputError(f"{path}: '{where}.run' must be the name of a run, not {run!r}")
+    check_known(table, known, f"parameter of effect '{entry['name']}'", path)
+    numbers = {key: check_number(item, f"{where}.{key}", path) for key, item in table.items()}
+    return Effect(entry["name"], numbers, wheel, run)
+
+
+def _read_wheel(value: object, entry: dict[str, Any], wheel_count: int, path: Path) -> int | None:
+    name, scope = entry["name"], entry["scope"]
+    if value is None:
+        if scope == "single":
+            raise InputError(f"{path}: effect '{name}' acts on one wheel; add wheel = 1 to 4")
+        return None
+    if scope in ("whole", "common"):
+        raise InputError(f"{path}: effect '{name}' does not act on one wheel; remove 'wheel'")
+    if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= wheel_count:
+        raise InputError(f"{path}: 'effects.{name}.wheel' must be 1 to {wheel_count}, not {value}")
+    return value
+
+
+def _effect_to_core(effect: Effect) -> dict[str, Any]:
+    entry = next(entry for entry in _core.effects() if entry["name"] == effect.name)
+    neutral = {parameter["name"]: parameter["neutral"] for parameter in entry["parameters"]}
+    return {
+        "name": effect.name,
+        "wheel": effect.wheel,
+        "parameters": neutral | effect.parameters,
+    }
