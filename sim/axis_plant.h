@@ -33,14 +33,14 @@ struct AxisInternals {
 
 template <class S>
 class AxisPlant {
-public:
+  public:
     static constexpr int kMotors = 1;
     static constexpr int kStates = 2;
     static constexpr int kOutputs = 1; /* position */
     static constexpr int kBase = static_cast<int>(sizeof(kAxisBase) / sizeof(kAxisBase[0]));
     static constexpr Kind kKind = kAxis;
 
-    void prepare(const S* flat, const bool* active) {
+    void prepare(const S *flat, const bool *active) {
         effects_ = flat + kBase;
         hooks_ = 0;
         c_.mass_kg = flat[0];
@@ -48,11 +48,13 @@ public:
         c_.viscous_friction_nm_s[0] = flat[2] + flat[3];
         c_.friction_speed = flat[7];
         input_gain_ = flat[1];
-        for (int i = 0; i < kEffectCount; ++i) active_[i] = active[i];
+        for (int i = 0; i < kEffectCount; ++i)
+            active_[i] = active[i];
         for_each_effect(kMotors, [&](auto effect, int index, int slot) {
             using E = decltype(effect);
             if constexpr ((E::info.kinds & kAxis) != 0) {
-                if (!active_[index]) return;
+                if (!active_[index])
+                    return;
                 hooks_ |= E::info.hooks;
                 E::prepare(c_, values<E>(slot));
             }
@@ -61,7 +63,7 @@ public:
         gravity_torque_ = flat[4] * flat[5] * flat[6];
     }
 
-    void command(const S* u, S* driven) const {
+    void command(const S *u, S *driven) const {
         CommandTerm<S, 1> term;
         term.duty[0] = u[0];
         apply(kCommand, [&](auto effect, int slot) {
@@ -71,7 +73,7 @@ public:
         driven[0] = term.duty[0];
     }
 
-    void derivative(const S* x, const S* driven, const S&, S* dx, AxisInternals<S>& in) const {
+    void derivative(const S *x, const S *driven, const S &, S *dx, AxisInternals<S> &in) const {
         using std::sin;
         in.force = input_gain_ * driven[0];
         in.friction = friction(x, in.force);
@@ -79,7 +81,9 @@ public:
         dx[1] = x[0];
     }
 
-    void output(const S* x, const S&, S* y) const { y[0] = x[1]; }
+    void output(const S *x, const S &, S *y) const {
+        y[0] = x[1];
+    }
 
     double fastest_rate_1_s() const {
         S moving[2] = {S(1e-3) * c_.friction_speed, S(0.0)};
@@ -87,31 +91,35 @@ public:
         const S slope = (friction(still, S(0.0)) - friction(moving, S(0.0))) / moving[0];
         const S rate = slope / inertia_;
         double worst = 0.0;
-        for (int i = 0; i < LaneCount<S>::value; ++i) worst = std::max(worst, lane(rate, i));
+        for (int i = 0; i < LaneCount<S>::value; ++i)
+            worst = std::max(worst, lane(rate, i));
         return worst;
     }
 
-private:
+  private:
     template <class E>
     Values<S> values(int slot) const {
         return {effects_ + slot, effect_stride(E::info, kMotors)};
     }
 
     template <class Action>
-    void apply(unsigned hook, Action&& action) const {
-        if (!(hooks_ & hook)) return;
+    void apply(unsigned hook, Action &&action) const {
+        if (!(hooks_ & hook))
+            return;
         for_each_effect(kMotors, [&](auto effect, int index, int slot) {
             using E = decltype(effect);
             if constexpr ((E::info.kinds & kAxis) != 0) {
-                if ((E::info.hooks & hook) && active_[index]) action(effect, slot);
+                if ((E::info.hooks & hook) && active_[index])
+                    action(effect, slot);
             }
         });
     }
 
-    S friction(const S* x, const S& motor_force) const {
+    S friction(const S *x, const S &motor_force) const {
         using std::tanh;
         S total = -c_.viscous_friction_nm_s[0] * x[0];
-        if (!(hooks_ & kShaft)) return total;
+        if (!(hooks_ & kShaft))
+            return total;
         ShaftTerm<S, 1> term;
         term.speed_rad_s = x;
         term.angle_rad = x + 1;
@@ -127,7 +135,7 @@ private:
 
     Constants<S, 1> c_;
     S inertia_, input_gain_, gravity_torque_;
-    const S* effects_ = nullptr;
+    const S *effects_ = nullptr;
     bool active_[kEffectCount] = {};
     unsigned hooks_ = 0;
 };

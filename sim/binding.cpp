@@ -26,37 +26,43 @@ using Array1 = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::
 using Array2 = nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 
 /* Hands a buffer over to numpy. */
-nb::object to_numpy(std::vector<double>&& data, std::initializer_list<std::size_t> shape) {
-    auto* owned = new std::vector<double>(std::move(data));
-    nb::capsule owner(owned, [](void* p) noexcept { delete static_cast<std::vector<double>*>(p); });
+nb::object to_numpy(std::vector<double> &&data, std::initializer_list<std::size_t> shape) {
+    auto *owned = new std::vector<double>(std::move(data));
+    nb::capsule owner(owned,
+                      [](void *p) noexcept { delete static_cast<std::vector<double> *>(p); });
     return nb::cast(nb::ndarray<nb::numpy, double>(owned->data(), shape, owner));
 }
 
-nb::object copy_to_numpy(const std::vector<double>& data) {
+nb::object copy_to_numpy(const std::vector<double> &data) {
     return to_numpy(std::vector<double>(data), {data.size()});
 }
 
-std::vector<double> to_vector(const Array1& array) {
+std::vector<double> to_vector(const Array1 &array) {
     return std::vector<double>(array.data(), array.data() + array.shape(0));
 }
 
-void require(bool holds, const char* message) {
-    if (!holds) throw std::invalid_argument(message);
+void require(bool holds, const char *message) {
+    if (!holds)
+        throw std::invalid_argument(message);
 }
 
-const char* scope_name(Scope scope) {
+const char *scope_name(Scope scope) {
     switch (scope) {
-        case Scope::kWhole: return "whole";
-        case Scope::kCommon: return "common";
-        case Scope::kSingle: return "single";
-        default: return "common or single";
+        case Scope::kWhole:
+            return "whole";
+        case Scope::kCommon:
+            return "common";
+        case Scope::kSingle:
+            return "single";
+        default:
+            return "common or single";
     }
 }
 
-nb::list parameter_list(const EffectInfo& info) {
+nb::list parameter_list(const EffectInfo &info) {
     nb::list parameters;
     for (int k = 0; k < info.parameter_count; ++k) {
-        const ParameterInfo& p = info.parameters[k];
+        const ParameterInfo &p = info.parameters[k];
         nb::dict entry;
         entry["name"] = p.name;
         entry["unit"] = p.unit;
@@ -82,8 +88,10 @@ nb::list effects() {
         entry["scope"] = scope_name(info.scope);
         entry["per_wheel"] = info.scope != Scope::kWhole;
         nb::list kinds;
-        if (info.kinds & kRobot) kinds.append("robot");
-        if (info.kinds & kAxis) kinds.append("axis");
+        if (info.kinds & kRobot)
+            kinds.append("robot");
+        if (info.kinds & kAxis)
+            kinds.append("axis");
         entry["kinds"] = kinds;
         entry["parameters"] = parameter_list(info);
         catalogue.append(entry);
@@ -94,7 +102,7 @@ nb::list effects() {
 template <int Count>
 nb::list base_list(const BaseParameter (&base)[Count]) {
     nb::list parameters;
-    for (const BaseParameter& p : base) {
+    for (const BaseParameter &p : base) {
         nb::dict entry;
         entry["name"] = p.name;
         entry["unit"] = p.unit;
@@ -104,23 +112,26 @@ nb::list base_list(const BaseParameter (&base)[Count]) {
     return parameters;
 }
 
-nb::list base_parameters(const std::string& kind) {
-    if (kind == "robot") return base_list(kRobotBase);
+nb::list base_parameters(const std::string &kind) {
+    if (kind == "robot")
+        return base_list(kRobotBase);
     require(kind == "axis", "kind must be 'robot' or 'axis'");
     return base_list(kAxisBase);
 }
 
 class Engine {
-public:
-    Engine(const std::string& kind, int widest_lanes) {
+  public:
+    Engine(const std::string &kind, int widest_lanes) {
         require(kind == "robot" || kind == "axis", "kind must be 'robot' or 'axis'");
         kernel_ = make_kernel(kind == "robot" ? 0 : 1, widest_lanes);
     }
 
-    const Kernel& kernel() const { return *kernel_; }
+    const Kernel &kernel() const {
+        return *kernel_;
+    }
 
-    Recording recording(const Array1& time_s, const Array2& command, const Array2& output,
-                        const Array1& initial_state) const {
+    Recording recording(const Array1 &time_s, const Array2 &command, const Array2 &output,
+                        const Array1 &initial_state) const {
         const auto rows = time_s.shape(0);
         require(rows >= 2 && command.shape(0) == rows && output.shape(0) == rows,
                 "time_s, command and output must have the same number of rows, at least 2");
@@ -137,9 +148,10 @@ public:
         return r;
     }
 
-    Track track_of(const Recording& r, const Array1& values, const Array1& process,
-                   const Array1& output, const Array1& initial, double timing_s2, double step_s,
-                   double window_s) const {
+    std::vector<Track> tracks_of(const std::vector<const Recording *> &recordings,
+                                 const Array1 &values, const Array1 &process, const Array1 &output,
+                                 const Array1 &initial, double timing_s2, double step_s,
+                                 double window_s, bool keep_linear) const {
         check_size(values.shape(0));
         const Noise noise{to_vector(process), to_vector(output), to_vector(initial), timing_s2};
         require(noise.process.size() == static_cast<std::size_t>(kernel_->states()) &&
@@ -147,55 +159,55 @@ public:
                     noise.output.size() == static_cast<std::size_t>(kernel_->outputs()),
                 "noise vectors have the wrong length");
         nb::gil_scoped_release release;
-        return track(*kernel_, r, values.data(), noise, step_s, window_s);
+        return track_all(*kernel_, recordings, values.data(), noise, step_s, window_s, keep_linear);
     }
 
-    nb::list innovations_of(const std::vector<const Recording*>& recordings,
-                            const std::vector<const Track*>& tracks, const Array2& values,
+    nb::list innovations_of(const std::vector<const Recording *> &recordings,
+                            const std::vector<const Track *> &tracks, const Array2 &values,
                             double step_s) const {
-        return batch(recordings, tracks, values, [&](const ParameterSets& sets, const auto& out) {
+        return batch(recordings, tracks, values, [&](const ParameterSets &sets, const auto &out) {
             innovations(*kernel_, recordings, tracks, sets, step_s, out);
         });
     }
 
-    nb::list replays_of(const std::vector<const Recording*>& recordings,
-                        const std::vector<const Track*>& tracks, const Array2& values,
+    nb::list replays_of(const std::vector<const Recording *> &recordings,
+                        const std::vector<const Track *> &tracks, const Array2 &values,
                         double step_s, double window_s) const {
-        return batch(recordings, tracks, values, [&](const ParameterSets& sets, const auto& out) {
+        return batch(recordings, tracks, values, [&](const ParameterSets &sets, const auto &out) {
             replays(*kernel_, recordings, tracks, sets, step_s, window_s, out);
         });
     }
 
-    nb::object derivatives_of(const Array1& values, const Array2& states,
-                              const Array2& commands) const {
+    nb::object derivatives_of(const Array1 &values, const Array2 &states,
+                              const Array2 &commands) const {
         check_size(values.shape(0));
         require(states.shape(0) == commands.shape(0) &&
                     states.shape(1) == static_cast<std::size_t>(kernel_->states()) &&
                     commands.shape(1) == static_cast<std::size_t>(kernel_->motors()),
                 "states or commands have the wrong shape");
         std::vector<double> result(states.size());
-        kernel_->derivatives(values.data(), static_cast<int>(states.shape(0)), states.data(),
-                             commands.data(), result.data());
+        kernel_->derivatives(kernel_->load(values.data()).get(), static_cast<int>(states.shape(0)),
+                             states.data(), commands.data(), result.data());
         return to_numpy(std::move(result), {states.shape(0), states.shape(1)});
     }
 
-private:
+  private:
     void check_size(std::size_t size) const {
         require(size == static_cast<std::size_t>(kernel_->parameters()),
                 "a parameter set has the wrong length");
     }
 
     template <class Work>
-    nb::list batch(const std::vector<const Recording*>& recordings,
-                   const std::vector<const Track*>& tracks, const Array2& values,
-                   Work&& work) const {
+    nb::list batch(const std::vector<const Recording *> &recordings,
+                   const std::vector<const Track *> &tracks, const Array2 &values,
+                   Work &&work) const {
         check_size(values.shape(1));
         require(recordings.size() == tracks.size(), "one track per recording");
         const std::size_t sets = values.shape(0);
         const std::size_t outputs = static_cast<std::size_t>(kernel_->outputs());
         std::vector<std::vector<double>> results;
-        std::vector<double*> pointers;
-        for (const Recording* r : recordings) {
+        std::vector<double *> pointers;
+        for (const Recording *r : recordings) {
             results.emplace_back(sets * static_cast<std::size_t>(r->rows) * outputs);
             pointers.push_back(results.back().data());
         }
@@ -220,15 +232,16 @@ private:
 
 using Numbers = std::map<std::string, double>;
 
-int base_index(const std::string& name) {
+int base_index(const std::string &name) {
     for (int i = 0; i < RobotLayout::kBase; ++i) {
-        if (name == kRobotBase[i].name) return i;
+        if (name == kRobotBase[i].name)
+            return i;
     }
     throw std::invalid_argument("unknown parameter '" + name + "'");
 }
 
 /* Sets one effect of a model in the flat values; parameters that are not named keep theirs. */
-void set_effect(const nb::dict& given, std::vector<double>& values) {
+void set_effect(const nb::dict &given, std::vector<double> &values) {
     const std::string name = nb::cast<std::string>(given["name"]);
     const Numbers numbers = nb::cast<Numbers>(given["parameters"]);
     const bool one_wheel = given.contains("wheel") && !given["wheel"].is_none();
@@ -237,29 +250,33 @@ void set_effect(const nb::dict& given, std::vector<double>& values) {
     bool known = false;
     for_each_effect(RobotLayout::kMotors, [&](auto effect, int, int slot) {
         using E = decltype(effect);
-        if (name != E::info.name) return;
+        if (name != E::info.name)
+            return;
         known = true;
         const int stride = effect_stride(E::info, RobotLayout::kMotors);
         for (int k = 0; k < E::info.parameter_count; ++k) {
             const auto found = numbers.find(E::info.parameters[k].name);
-            if (found == numbers.end()) continue;
+            if (found == numbers.end())
+                continue;
             for (int i = 0; i < stride; ++i) {
-                if (wheel != 0 && stride > 1 && i != wheel - 1) continue;
+                if (wheel != 0 && stride > 1 && i != wheel - 1)
+                    continue;
                 values[static_cast<std::size_t>(RobotLayout::kBase + slot + k * stride + i)] =
                     found->second;
             }
         }
     });
-    if (!known) throw std::invalid_argument("unknown effect '" + name + "'");
+    if (!known)
+        throw std::invalid_argument("unknown effect '" + name + "'");
 }
 
-std::vector<double> robot_values(const Numbers& parameters, const nb::list& effects) {
+std::vector<double> robot_values(const Numbers &parameters, const nb::list &effects) {
     std::vector<double> values(
         static_cast<std::size_t>(RobotLayout::kBase + effect_slot_count(RobotLayout::kMotors)));
     for (int i = 0; i < RobotLayout::kBase; ++i) {
         values[static_cast<std::size_t>(i)] = kRobotBase[i].value;
     }
-    for (const auto& [name, value] : parameters) {
+    for (const auto &[name, value] : parameters) {
         values[static_cast<std::size_t>(base_index(name))] = value;
     }
     for_each_effect(RobotLayout::kMotors, [&](auto effect, int, int slot) {
@@ -270,11 +287,12 @@ std::vector<double> robot_values(const Numbers& parameters, const nb::list& effe
                 E::info.parameters[k / stride].neutral;
         }
     });
-    for (nb::handle effect : effects) set_effect(nb::cast<nb::dict>(effect), values);
+    for (nb::handle effect : effects)
+        set_effect(nb::cast<nb::dict>(effect), values);
     return values;
 }
 
-std::vector<std::int32_t> firmware_values(const std::map<std::string, std::int32_t>& named) {
+std::vector<std::int32_t> firmware_values(const std::map<std::string, std::int32_t> &named) {
     std::vector<std::int32_t> values;
     for (int id = 0; id < firmware_parameter_count(); ++id) {
         const auto found = named.find(firmware_parameter_name(id));
@@ -287,7 +305,7 @@ std::vector<std::int32_t> firmware_values(const std::map<std::string, std::int32
     return values;
 }
 
-Command to_command(const nb::dict& given) {
+Command to_command(const nb::dict &given) {
     Command command;
     command.time_s = nb::cast<double>(given["t_s"]);
     const std::string kind = nb::cast<std::string>(given["kind"]);
@@ -305,7 +323,7 @@ Command to_command(const nb::dict& given) {
     return command;
 }
 
-Impulse to_impulse(const nb::dict& given) {
+Impulse to_impulse(const nb::dict &given) {
     Impulse impulse;
     impulse.at_x = given.contains("x_m");
     impulse.trigger = nb::cast<double>(given[impulse.at_x ? "x_m" : "t_s"]);
@@ -316,15 +334,15 @@ Impulse to_impulse(const nb::dict& given) {
 }
 
 template <class T>
-nb::object integers_to_numpy(std::vector<T>&& data, std::initializer_list<std::size_t> shape) {
-    auto* owned = new std::vector<T>(std::move(data));
-    nb::capsule owner(owned, [](void* p) noexcept { delete static_cast<std::vector<T>*>(p); });
+nb::object integers_to_numpy(std::vector<T> &&data, std::initializer_list<std::size_t> shape) {
+    auto *owned = new std::vector<T>(std::move(data));
+    nb::capsule owner(owned, [](void *p) noexcept { delete static_cast<std::vector<T> *>(p); });
     return nb::cast(nb::ndarray<nb::numpy, T>(owned->data(), shape, owner));
 }
 
-nb::dict simulate(const Numbers& parameters, const nb::list& effects,
-                  const std::map<std::string, std::int32_t>& firmware_parameters,
-                  const nb::list& commands, const nb::list& impulses, double duration_s,
+nb::dict simulate(const Numbers &parameters, const nb::list &effects,
+                  const std::map<std::string, std::int32_t> &firmware_parameters,
+                  const nb::list &commands, const nb::list &impulses, double duration_s,
                   double step_s) {
     require(duration_s > 0.0 && step_s > 0.0, "duration_s and step_s must be positive");
     std::vector<Command> command_list;
@@ -361,33 +379,37 @@ nb::dict simulate(const Numbers& parameters, const nb::list& effects,
     return result;
 }
 
-void bind_replay(nb::module_& m) {
-    nb::class_<Recording>(m, "Recording").def_prop_ro("rows", [](const Recording& r) {
+void bind_replay(nb::module_ &m) {
+    nb::class_<Recording>(m, "Recording").def_prop_ro("rows", [](const Recording &r) {
         return r.rows;
     });
     nb::class_<Track>(m, "Track", "Arrays are flat, row major: see replay.h for their layout.")
         .def_ro("log_likelihood", &Track::log_likelihood)
-        .def_prop_ro("state", [](const Track& t) { return copy_to_numpy(t.state); })
-        .def_prop_ro("innovation", [](const Track& t) { return copy_to_numpy(t.innovation); })
-        .def_prop_ro("gain", [](const Track& t) { return copy_to_numpy(t.gain); })
+        .def_prop_ro("state", [](const Track &t) { return copy_to_numpy(t.state); })
+        .def_prop_ro("innovation", [](const Track &t) { return copy_to_numpy(t.innovation); })
+        .def_prop_ro("whitening", [](const Track &t) { return copy_to_numpy(t.whitening); })
+        .def_prop_ro("transition", [](const Track &t) { return copy_to_numpy(t.transition); })
+        .def_prop_ro("slope", [](const Track &t) { return copy_to_numpy(t.slope); })
+        .def_prop_ro("gain", [](const Track &t) { return copy_to_numpy(t.gain); })
         .def_prop_ro("correction_variance",
-                     [](const Track& t) { return copy_to_numpy(t.correction_variance); })
+                     [](const Track &t) { return copy_to_numpy(t.correction_variance); })
         .def_prop_ro("replay_variance",
-                     [](const Track& t) { return copy_to_numpy(t.replay_variance); });
+                     [](const Track &t) { return copy_to_numpy(t.replay_variance); });
     nb::class_<Engine>(m, "Engine")
-        .def(nb::init<const std::string&, int>(), "kind"_a, "widest_lanes"_a = 8)
-        .def_prop_ro("states", [](const Engine& e) { return e.kernel().states(); })
-        .def_prop_ro("outputs", [](const Engine& e) { return e.kernel().outputs(); })
-        .def_prop_ro("motors", [](const Engine& e) { return e.kernel().motors(); })
-        .def_prop_ro("parameters", [](const Engine& e) { return e.kernel().parameters(); })
-        .def_prop_ro("lanes", [](const Engine& e) { return e.kernel().lanes(); })
+        .def(nb::init<const std::string &, int>(), "kind"_a, "widest_lanes"_a = 8)
+        .def_prop_ro("states", [](const Engine &e) { return e.kernel().states(); })
+        .def_prop_ro("outputs", [](const Engine &e) { return e.kernel().outputs(); })
+        .def_prop_ro("motors", [](const Engine &e) { return e.kernel().motors(); })
+        .def_prop_ro("parameters", [](const Engine &e) { return e.kernel().parameters(); })
+        .def_prop_ro("lanes", [](const Engine &e) { return e.kernel().lanes(); })
         .def_prop_ro("instruction_set",
-                     [](const Engine& e) { return e.kernel().instruction_set(); })
+                     [](const Engine &e) { return e.kernel().instruction_set(); })
         .def("recording", &Engine::recording, "time_s"_a, "command"_a, "output"_a,
              "initial_state"_a)
         .def("derivatives", &Engine::derivatives_of, "values"_a, "states"_a, "commands"_a)
-        .def("track", &Engine::track_of, "recording"_a, "values"_a, "process"_a, "output"_a,
-             "initial"_a, "timing_s2"_a = 0.0, "step_s"_a = 1e-3, "window_s"_a = 1.0)
+        .def("track", &Engine::tracks_of, "recordings"_a, "values"_a, "process"_a, "output"_a,
+             "initial"_a, "timing_s2"_a = 0.0, "step_s"_a = 1e-3, "window_s"_a = 1.0,
+             "keep_linear"_a = false)
         .def("innovations", &Engine::innovations_of, "recordings"_a, "tracks"_a, "values"_a,
              "step_s"_a = 1e-3)
         .def("replays", &Engine::replays_of, "recordings"_a, "tracks"_a, "values"_a,

@@ -14,21 +14,22 @@ namespace omnislip {
 namespace {
 
 #define PARAMETER(name, unit, q_bits, minimum, maximum, initial, description) #name,
-const char* const kParameterNames[] = {
+const char *const kParameterNames[] = {
 #include "firmware/parameters.def"
 };
 #undef PARAMETER
 
 /* The plant as the board sees it: counters, supply, bridges. */
 class Robot {
-public:
-    Robot(const std::vector<double>& values, double step_s) : values_(values), step_s_(step_s) {
+  public:
+    Robot(const std::vector<double> &values, double step_s) : values_(values), step_s_(step_s) {
         bool active[kEffectCount] = {};
         for_each_effect(RobotLayout::kMotors, [&](auto effect, int index, int slot) {
             using E = decltype(effect);
             const int stride = effect_stride(E::info, RobotLayout::kMotors);
             for (int k = 0; k < E::info.parameter_count * stride; ++k) {
-                const double value = values_[static_cast<std::size_t>(RobotLayout::kBase + slot + k)];
+                const double value =
+                    values_[static_cast<std::size_t>(RobotLayout::kBase + slot + k)];
                 active[index] = active[index] || value != E::info.parameters[k / stride].neutral;
             }
         });
@@ -38,7 +39,7 @@ public:
         refresh(0.0);
     }
 
-    void counts(std::uint16_t* out) const {
+    void counts(std::uint16_t *out) const {
         for (int i = 0; i < 4; ++i) {
             const double whole = std::floor(x_[RobotLayout::kAngle + i] / rad_per_count_);
             out[i] = static_cast<std::uint16_t>(static_cast<std::int64_t>(whole));
@@ -49,18 +50,19 @@ public:
         return static_cast<std::uint16_t>(std::clamp(std::lround(in_.bus_v * 1e3), 0L, 65535L));
     }
 
-    void set_duty(const std::int16_t* duty_q15) {
-        for (int i = 0; i < 4; ++i) duty_[i] = duty_q15[i] / 32768.0;
+    void set_duty(const std::int16_t *duty_q15) {
+        for (int i = 0; i < 4; ++i)
+            duty_[i] = duty_q15[i] / 32768.0;
     }
 
-    void push(const Impulse& impulse) {
-        const auto& c = plant_.constants();
+    void push(const Impulse &impulse) {
+        const auto &c = plant_.constants();
         const double theta = x_[RobotLayout::kPose + 2];
         const double cos_theta = std::cos(theta), sin_theta = std::sin(theta);
         const double jx = cos_theta * impulse.x_n_s + sin_theta * impulse.y_n_s;
         const double jy = cos_theta * impulse.y_n_s - sin_theta * impulse.x_n_s;
         const double turn = impulse.theta_n_m_s / c.inertia_kg_m2;
-        double* v = x_ + RobotLayout::kVelocity;
+        double *v = x_ + RobotLayout::kVelocity;
         v[0] += jx / c.mass_kg + turn * c.cog_y_m;
         v[1] += jy / c.mass_kg - turn * c.cog_x_m;
         v[2] += turn;
@@ -78,12 +80,20 @@ public:
         plant_.output(x_, time_s, sensed_);
     }
 
-    const double* state() const { return x_; }
-    const double* duty() const { return duty_; }
-    const double* sensed() const { return sensed_; }
-    const RobotInternals<double>& internals() const { return in_; }
+    const double *state() const {
+        return x_;
+    }
+    const double *duty() const {
+        return duty_;
+    }
+    const double *sensed() const {
+        return sensed_;
+    }
+    const RobotInternals<double> &internals() const {
+        return in_;
+    }
 
-private:
+  private:
     std::vector<double> values_;
     double step_s_;
     RobotPlant<double> plant_;
@@ -94,15 +104,17 @@ private:
     double rate_1_s_ = 0.0, rad_per_count_ = 0.0;
 };
 
-void read_counts(void* context, std::uint16_t counts[4]) {
-    static_cast<const Robot*>(context)->counts(counts);
+void read_counts(void *context, std::uint16_t counts[4]) {
+    static_cast<const Robot *>(context)->counts(counts);
 }
-void write_duty(void* context, const std::int16_t duty_q15[4]) {
-    static_cast<Robot*>(context)->set_duty(duty_q15);
+void write_duty(void *context, const std::int16_t duty_q15[4]) {
+    static_cast<Robot *>(context)->set_duty(duty_q15);
 }
-std::uint16_t read_supply(void* context) { return static_cast<const Robot*>(context)->supply_mv(); }
+std::uint16_t read_supply(void *context) {
+    return static_cast<const Robot *>(context)->supply_mv();
+}
 
-i16 to_i16(double value, const char* what) {
+i16 to_i16(double value, const char *what) {
     const double rounded = std::round(value);
     if (!(rounded >= -32768.0 && rounded <= 32767.0)) {
         throw std::invalid_argument(std::string(what) + " is out of the firmware's range");
@@ -110,7 +122,7 @@ i16 to_i16(double value, const char* what) {
     return static_cast<i16>(rounded);
 }
 
-odometry_pose to_pose(const double* value) {
+odometry_pose to_pose(const double *value) {
     odometry_pose pose;
     const double q13 = 8192.0 * 1e3; /* mm Q13, mrad Q13 */
     for (int i = 0; i < 2; ++i) {
@@ -124,7 +136,7 @@ odometry_pose to_pose(const double* value) {
     return pose;
 }
 
-kinematics_velocity to_velocity(const double* value) {
+kinematics_velocity to_velocity(const double *value) {
     kinematics_velocity velocity;
     velocity.x_m_s_q13 = to_i16(value[0] * 8192.0, "an arrival velocity");
     velocity.y_m_s_q13 = to_i16(value[1] * 8192.0, "an arrival velocity");
@@ -132,8 +144,8 @@ kinematics_velocity to_velocity(const double* value) {
     return velocity;
 }
 
-void give(control_loop* loop, const Command& command) {
-    const double* v = command.value;
+void give(control_loop *loop, const Command &command) {
+    const double *v = command.value;
     if (command.kind == Command::kVelocity) {
         control_loop_command_velocity(loop, to_i16(v[0] * 1e3, "a velocity"),
                                       to_i16(v[1] * 1e3, "a velocity"),
@@ -155,14 +167,14 @@ void give(control_loop* loop, const Command& command) {
     }
 }
 
-void append(std::vector<double>& to, const double* from, int count) {
+void append(std::vector<double> &to, const double *from, int count) {
     to.insert(to.end(), from, from + count);
 }
 
-void record(ClosedLoopLog& log, double time_s, const Robot& robot, const std::uint16_t* counts,
-            const control_loop_telemetry& telemetry) {
-    const double* x = robot.state();
-    const RobotInternals<double>& in = robot.internals();
+void record(ClosedLoopLog &log, double time_s, const Robot &robot, const std::uint16_t *counts,
+            const control_loop_telemetry &telemetry) {
+    const double *x = robot.state();
+    const RobotInternals<double> &in = robot.internals();
     log.time_s.push_back(time_s);
     append(log.duty, robot.duty(), 4);
     append(log.pose, x + RobotLayout::kPose, 3);
@@ -182,26 +194,31 @@ void record(ClosedLoopLog& log, double time_s, const Robot& robot, const std::ui
     log.limited.push_back(static_cast<std::int32_t>(telemetry.limit));
 }
 
-bool due(const Impulse& impulse, double time_s, double x_before, double x_now) {
-    if (!impulse.at_x) return time_s >= impulse.trigger;
+bool due(const Impulse &impulse, double time_s, double x_before, double x_now) {
+    if (!impulse.at_x)
+        return time_s >= impulse.trigger;
     return (x_before < impulse.trigger) != (x_now < impulse.trigger);
 }
 
 }  // namespace
 
-const char* firmware_parameter_name(int id) { return kParameterNames[id]; }
-int firmware_parameter_count() { return PARAMETER_COUNT; }
+const char *firmware_parameter_name(int id) {
+    return kParameterNames[id];
+}
+int firmware_parameter_count() {
+    return PARAMETER_COUNT;
+}
 
-ClosedLoopLog run_closed_loop(const std::vector<double>& values,
-                              const std::vector<std::int32_t>& firmware,
-                              const std::vector<Command>& commands,
-                              const std::vector<Impulse>& impulses, double duration_s,
+ClosedLoopLog run_closed_loop(const std::vector<double> &values,
+                              const std::vector<std::int32_t> &firmware,
+                              const std::vector<Command> &commands,
+                              const std::vector<Impulse> &impulses, double duration_s,
                               double step_s) {
     parameters settings;
     parameters_set_defaults(&settings);
     for (int id = 0; id < PARAMETER_COUNT; ++id) {
-        if (parameters_set(&settings, static_cast<u16>(id), firmware[static_cast<std::size_t>(id)]) !=
-            PARAMETERS_OK) {
+        if (parameters_set(&settings, static_cast<u16>(id),
+                           firmware[static_cast<std::size_t>(id)]) != PARAMETERS_OK) {
             throw std::invalid_argument(std::string("firmware parameter ") + kParameterNames[id] +
                                         " is out of its range");
         }
@@ -219,11 +236,14 @@ ClosedLoopLog run_closed_loop(const std::vector<double>& values,
     const long ticks = std::lround(duration_s / kTick_s);
     for (long k = 0; k < ticks; ++k) {
         const double time_s = static_cast<double>(k) * kTick_s;
-        while (next < commands.size() && commands[next].time_s <= time_s + 1e-9) ++next;
-        if (next > 0) give(&loop, commands[next - 1]);
+        while (next < commands.size() && commands[next].time_s <= time_s + 1e-9)
+            ++next;
+        if (next > 0)
+            give(&loop, commands[next - 1]);
         const double x_now = robot.state()[RobotLayout::kPose];
         for (std::size_t i = 0; i < impulses.size(); ++i) {
-            if (given[i] || !due(impulses[i], time_s, x_before, x_now)) continue;
+            if (given[i] || !due(impulses[i], time_s, x_before, x_now))
+                continue;
             robot.push(impulses[i]);
             given[i] = true;
         }

@@ -1,9 +1,10 @@
 /* closed_loop.h - the firmware drives the plant: the same C sources as on the board, tick by tick.
  *
  * At t = k ms the firmware reads the counters and the supply and writes four duties; the plant runs
- * 1 ms under them (the computing time of the tick is not modelled). Commands are repeated every tick,
- * as a host does that keeps the command timeout away. An impulse is a jump of the body's momentum,
- * given in the world frame at the centre of gravity, at a time or where the body passes an x.
+ * 1 ms under them (the computing time of the tick is not modelled). Commands are repeated every
+ * tick, as a host does that keeps the command timeout away. An impulse is a jump of the body's
+ * momentum, given in the world frame at the centre of gravity, at a time or where the body passes
+ * an x.
  */
 #ifndef OMNISLIP_SIM_CLOSED_LOOP_H
 #define OMNISLIP_SIM_CLOSED_LOOP_H
@@ -38,14 +39,14 @@ struct ClosedLoopLog {
 
 /* `values`: parameter set of RobotPlant; `firmware`: raw value per parameter id, PARAMETER_COUNT of
  * them. Throws std::invalid_argument when the firmware refuses a parameter or a command. */
-ClosedLoopLog run_closed_loop(const std::vector<double>& values,
-                              const std::vector<std::int32_t>& firmware,
-                              const std::vector<Command>& commands,
-                              const std::vector<Impulse>& impulses, double duration_s,
+ClosedLoopLog run_closed_loop(const std::vector<double> &values,
+                              const std::vector<std::int32_t> &firmware,
+                              const std::vector<Command> &commands,
+                              const std::vector<Impulse> &impulses, double duration_s,
                               double step_s);
 
 /* Name of the firmware parameter `id`. */
-const char* firmware_parameter_name(int id);
+const char *firmware_parameter_name(int id);
 int firmware_parameter_count();
 
 }  // namespace omnislip

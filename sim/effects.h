@@ -1,10 +1,10 @@
 /* effects.h - the catalogue: every effect that can be missing from a model, each defined once.
  *
- * An effect is one struct: its `info` (name, parameters with unit, neutral value, bounds and typical
- * size, one line of physics, equation, source) and the term itself, written in the hook where it
- * acts. The plant calls the hooks of the effects that are switched on; the workflow, the report,
- * the file reader and the documentation read `info`. To add an effect, add a struct here and its
- * name to `Catalogue` at the end of the file.
+ * An effect is one struct: its `info` (name, parameters with unit, neutral value, bounds and
+ * typical size, one line of physics, equation, source) and the term itself, written in the hook
+ * where it acts. The plant calls the hooks of the effects that are switched on; the workflow, the
+ * report, the file reader and the documentation read `info`. To add an effect, add a struct here
+ * and its name to `Catalogue` at the end of the file.
  *
  * Hooks, in the order in which the signal passes them (N motors; N = 4 robot, N = 1 single axis):
  *   prepare   constants of the plant, once per parameter set            Constants
@@ -34,8 +34,8 @@ constexpr double kUnbounded = std::numeric_limits<double>::infinity();
 constexpr int kMaxEffectParameters = 5;
 
 struct ParameterInfo {
-    const char* name = nullptr;
-    const char* unit = nullptr;
+    const char *name = nullptr;
+    const char *unit = nullptr;
     double neutral = 0.0;
     double low = 0.0;
     double high = 0.0;
@@ -59,11 +59,11 @@ enum Hook : unsigned {
 };
 
 struct EffectInfo {
-    const char* name;
-    const char* summary;
-    const char* equation;
-    const char* where;
-    const char* source;
+    const char *name;
+    const char *summary;
+    const char *equation;
+    const char *where;
+    const char *source;
     Scope scope;
     unsigned kinds;
     unsigned hooks;
@@ -74,9 +74,9 @@ struct EffectInfo {
 /* Parameter values of one effect: `value(k, i)` is parameter k on motor i. */
 template <class S>
 struct Values {
-    const S* first;
+    const S *first;
     int stride; /* N when each wheel has its own value, 1 when the robot has one */
-    const S& operator()(int parameter, int wheel = 0) const {
+    const S &operator()(int parameter, int wheel = 0) const {
         return first[parameter * stride + (stride > 1 ? wheel : 0)];
     }
 };
@@ -109,30 +109,30 @@ struct SupplyTerm {
 template <class S, int N>
 struct CurrentTerm {
     S current_a[N]; /* in: from the armature equation; out: what flows */
-    const S* duty;
-    const S* speed_rad_s;
+    const S *duty;
+    const S *speed_rad_s;
 };
 
 template <class S, int N>
 struct ShaftTerm {
     S torque_nm[N]; /* sum of the effects' torques, positive drives the shaft */
-    const S* speed_rad_s;
-    const S* angle_rad;
-    const S* motor_torque_nm;
+    const S *speed_rad_s;
+    const S *angle_rad;
+    const S *motor_torque_nm;
     S sign[N]; /* smooth sign of the speed, tanh(W / friction speed) */
 };
 
 template <class S, int N>
 struct ContactTerm {
-    S mu_drive[N];         /* in and out */
-    S radius_m[N];         /* in and out */
-    S shape[N];            /* in and out: saturating function of k s, odd, limit +-1 */
-    S force_scale[N];      /* in and out: factor on the drive force (1) */
-    S roller_shape[N];     /* in and out: the same law across the wheel */
-    S scaled_slip[N];      /* k s */
-    S scaled_roller[N];    /* k VF */
+    S mu_drive[N];      /* in and out */
+    S radius_m[N];      /* in and out */
+    S shape[N];         /* in and out: saturating function of k s, odd, limit +-1 */
+    S force_scale[N];   /* in and out: factor on the drive force (1) */
+    S roller_shape[N];  /* in and out: the same law across the wheel */
+    S scaled_slip[N];   /* k s */
+    S scaled_roller[N]; /* k VF */
     S slip_m_s[N];
-    const S* shaft_angle_rad;
+    const S *shaft_angle_rad;
     S drive_direction_rad[N]; /* world direction of the drive axis */
     S x_m, y_m, time_s, gear_ratio;
 };
@@ -141,7 +141,7 @@ template <class S, int N>
 struct BodyTerm {
     S force_x_n, force_y_n, torque_nm; /* in and out: body frame, at the centre of gravity */
     S acceleration_x_m_s2, acceleration_y_m_s2; /* in and out: world frame, gravity-like */
-    S force_along_drive_per_load[N];   /* in and out: force per wheel load, not felt by the motor */
+    S force_along_drive_per_load[N]; /* in and out: force per wheel load, not felt by the motor */
     S hub_speed_m_s[N];
     S vx_m_s, vy_m_s, omega_rad_s;
     S x_m, y_m, cos_theta, sin_theta;
@@ -151,62 +151,80 @@ template <class S, int N>
 struct SensorTerm {
     S gyro_rad_s, x_m, y_m, theta_rad; /* in and out */
     S encoder_rate[N];                 /* in and out: encoder angle per shaft angle */
-    const S* speed_rad_s;
+    const S *speed_rad_s;
     S world_vx_m_s, world_vy_m_s, omega_rad_s, time_s;
 };
 
 /* Every effect derives from this: hooks it does not define do nothing. */
 struct Effect {
     template <class S, int N>
-    static void prepare(Constants<S, N>&, const Values<S>&) {}
+    static void prepare(Constants<S, N> &, const Values<S> &) {}
     template <class S, int N>
-    static void command(CommandTerm<S, N>&, const Values<S>&) {}
+    static void command(CommandTerm<S, N> &, const Values<S> &) {}
     template <class S>
-    static void supply(SupplyTerm<S>&, const Values<S>&) {}
+    static void supply(SupplyTerm<S> &, const Values<S> &) {}
     template <class S, int N>
-    static void current(CurrentTerm<S, N>&, const Values<S>&) {}
+    static void current(CurrentTerm<S, N> &, const Values<S> &) {}
     template <class S, int N>
-    static void shaft(ShaftTerm<S, N>&, const Values<S>&) {}
+    static void shaft(ShaftTerm<S, N> &, const Values<S> &) {}
     template <class S, int N>
-    static void contact(ContactTerm<S, N>&, const Values<S>&) {}
+    static void contact(ContactTerm<S, N> &, const Values<S> &) {}
     template <class S, int N>
-    static void body(BodyTerm<S, N>&, const Values<S>&) {}
+    static void body(BodyTerm<S, N> &, const Values<S> &) {}
     template <class S, int N>
-    static void sensor(SensorTerm<S, N>&, const Values<S>&) {}
+    static void sensor(SensorTerm<S, N> &, const Values<S> &) {}
 };
 
 /* ------------------------------------------------------------------ supply, driver and motor */
 
 struct SupplySag : Effect {
-    static constexpr EffectInfo info = {
-        "supply_sag", "The battery voltage drops with the total current drawn.",
-        "V = V0 - r sum(i d), currents and V in balance", "supply", "battery internal resistance",
-        Scope::kWhole, kRobot, kPrepare, 1,
-        {{"source_resistance_ohm", "ohm", 0.0, 0.0, 2.0, 0.05}}};
+    static constexpr EffectInfo info = {"supply_sag",
+                                        "The battery voltage drops with the total current drawn.",
+                                        "V = V0 - r sum(i d), currents and V in balance",
+                                        "supply",
+                                        "battery internal resistance",
+                                        Scope::kWhole,
+                                        kRobot,
+                                        kPrepare,
+                                        1,
+                                        {{"source_resistance_ohm", "ohm", 0.0, 0.0, 2.0, 0.05}}};
     template <class S, int N>
-    static void prepare(Constants<S, N>& c, const Values<S>& p) {
+    static void prepare(Constants<S, N> &c, const Values<S> &p) {
         c.source_resistance_ohm = c.source_resistance_ohm + p(0);
     }
 };
 
 struct StateOfChargeDrift : Effect {
-    static constexpr EffectInfo info = {
-        "state_of_charge_drift", "The battery runs down during the run.", "V0 (1 - rate t)",
-        "supply", "battery discharge", Scope::kWhole, kRobot, kSupply, 1,
-        {{"rate_1_s", "1/s", 0.0, -0.05, 0.05, 0.002}}};
+    static constexpr EffectInfo info = {"state_of_charge_drift",
+                                        "The battery runs down during the run.",
+                                        "V0 (1 - rate t)",
+                                        "supply",
+                                        "battery discharge",
+                                        Scope::kWhole,
+                                        kRobot,
+                                        kSupply,
+                                        1,
+                                        {{"rate_1_s", "1/s", 0.0, -0.05, 0.05, 0.002}}};
     template <class S>
-    static void supply(SupplyTerm<S>& c, const Values<S>& p) {
+    static void supply(SupplyTerm<S> &c, const Values<S> &p) {
         c.open_circuit_v = c.open_circuit_v * (S(1.0) - p(0) * c.time_s);
     }
 };
 
 struct DeadZone : Effect {
     static constexpr EffectInfo info = {
-        "dead_zone", "The driver gives nothing below a least duty and that much less above it.",
-        "d -> sign(d) max(abs(d) - z, 0)", "driver", "dead time of the bridge",
-        Scope::kCommon, kRobot | kAxis, kCommand, 1, {{"duty", "1", 0.0, 0.0, 0.5, 0.02}}};
+        "dead_zone",
+        "The driver gives nothing below a least duty and that much less above it.",
+        "d -> sign(d) max(abs(d) - z, 0)",
+        "driver",
+        "dead time of the bridge",
+        Scope::kCommon,
+        kRobot | kAxis,
+        kCommand,
+        1,
+        {{"duty", "1", 0.0, 0.0, 0.5, 0.02}}};
     template <class S, int N>
-    static void command(CommandTerm<S, N>& c, const Values<S>& p) {
+    static void command(CommandTerm<S, N> &c, const Values<S> &p) {
         using std::abs;
         using std::max;
         for (int i = 0; i < N; ++i) {
@@ -217,12 +235,18 @@ struct DeadZone : Effect {
 };
 
 struct DriverNonlinearity : Effect {
-    static constexpr EffectInfo info = {
-        "driver_nonlinearity", "The driver's gain changes with the size of the duty.",
-        "d -> d + cubic d^3", "driver", "odd cubic of the bridge characteristic",
-        Scope::kCommon, kRobot | kAxis, kCommand, 1, {{"cubic", "1", 0.0, -0.6, 0.6, 0.08}}};
+    static constexpr EffectInfo info = {"driver_nonlinearity",
+                                        "The driver's gain changes with the size of the duty.",
+                                        "d -> d + cubic d^3",
+                                        "driver",
+                                        "odd cubic of the bridge characteristic",
+                                        Scope::kCommon,
+                                        kRobot | kAxis,
+                                        kCommand,
+                                        1,
+                                        {{"cubic", "1", 0.0, -0.6, 0.6, 0.08}}};
     template <class S, int N>
-    static void command(CommandTerm<S, N>& c, const Values<S>& p) {
+    static void command(CommandTerm<S, N> &c, const Values<S> &p) {
         for (int i = 0; i < N; ++i) {
             c.duty[i] = c.duty[i] * (S(1.0) + p(0, i) * c.duty[i] * c.duty[i]);
         }
@@ -230,12 +254,18 @@ struct DriverNonlinearity : Effect {
 };
 
 struct CurrentLimit : Effect {
-    static constexpr EffectInfo info = {
-        "current_limit", "The driver clips the motor current.", "i clipped to +-limit", "driver",
-        "current fold-back", Scope::kCommon, kRobot, kCurrent, 1,
-        {{"limit_a", "A", kUnbounded, 0.5, kUnbounded, 12.0}}};
+    static constexpr EffectInfo info = {"current_limit",
+                                        "The driver clips the motor current.",
+                                        "i clipped to +-limit",
+                                        "driver",
+                                        "current fold-back",
+                                        Scope::kCommon,
+                                        kRobot,
+                                        kCurrent,
+                                        1,
+                                        {{"limit_a", "A", kUnbounded, 0.5, kUnbounded, 12.0}}};
     template <class S, int N>
-    static void current(CurrentTerm<S, N>& c, const Values<S>& p) {
+    static void current(CurrentTerm<S, N> &c, const Values<S> &p) {
         using std::max;
         using std::min;
         for (int i = 0; i < N; ++i) {
@@ -245,29 +275,42 @@ struct CurrentLimit : Effect {
 };
 
 struct DriverFreewheel : Effect {
-    static constexpr EffectInfo info = {
-        "driver_freewheel", "The bridge freewheels where the motor would brake.",
-        "i -> f i where i W < 0 and d W >= 0", "driver", "slow against fast decay of the bridge",
-        Scope::kCommon, kRobot, kCurrent, 1,
-        {{"braking_fraction", "1", 1.0, 0.0, 1.5, -0.4}}};
+    static constexpr EffectInfo info = {"driver_freewheel",
+                                        "The bridge freewheels where the motor would brake.",
+                                        "i -> f i where i W < 0 and d W >= 0",
+                                        "driver",
+                                        "slow against fast decay of the bridge",
+                                        Scope::kCommon,
+                                        kRobot,
+                                        kCurrent,
+                                        1,
+                                        {{"braking_fraction", "1", 1.0, 0.0, 1.5, -0.4}}};
     template <class S, int N>
-    static void current(CurrentTerm<S, N>& c, const Values<S>& p) {
+    static void current(CurrentTerm<S, N> &c, const Values<S> &p) {
         for (int i = 0; i < N; ++i) {
             const auto brakes = c.current_a[i] * c.speed_rad_s[i] < S(0.0);
             const auto keeps_sign = c.duty[i] * c.speed_rad_s[i] >= S(0.0);
-            c.current_a[i] = select(brakes, select(keeps_sign, p(0, i) * c.current_a[i], c.current_a[i]),
-                                    c.current_a[i]);
+            c.current_a[i] =
+                select(brakes, select(keeps_sign, p(0, i) * c.current_a[i], c.current_a[i]),
+                       c.current_a[i]);
         }
     }
 };
 
 struct WeakMotor : Effect {
     static constexpr EffectInfo info = {
-        "weak_motor", "One motor has a smaller (or larger) torque and back-EMF constant.",
-        "k2, k3 of one motor times scale", "motor", "demagnetised or different motor",
-        Scope::kSingle, kRobot, kPrepare, 1, {{"scale", "1", 1.0, 0.3, 1.7, -0.06}}};
+        "weak_motor",
+        "One motor has a smaller (or larger) torque and back-EMF constant.",
+        "k2, k3 of one motor times scale",
+        "motor",
+        "demagnetised or different motor",
+        Scope::kSingle,
+        kRobot,
+        kPrepare,
+        1,
+        {{"scale", "1", 1.0, 0.3, 1.7, -0.06}}};
     template <class S, int N>
-    static void prepare(Constants<S, N>& c, const Values<S>& p) {
+    static void prepare(Constants<S, N> &c, const Values<S> &p) {
         for (int i = 0; i < N; ++i) {
             c.torque_constant_nm_a[i] = c.torque_constant_nm_a[i] * p(0, i);
             c.back_emf_constant_v_s_rad[i] = c.back_emf_constant_v_s_rad[i] * p(0, i);
@@ -276,23 +319,36 @@ struct WeakMotor : Effect {
 };
 
 struct TorqueConstantError : Effect {
-    static constexpr EffectInfo info = {
-        "torque_constant_error", "All motors have another torque and back-EMF constant.",
-        "k2, k3 of all motors times scale", "motor", "data sheet against motor",
-        Scope::kCommon, kRobot, kPrepare, 1, {{"scale", "1", 1.0, 0.5, 1.5, 0.08}}};
+    static constexpr EffectInfo info = {"torque_constant_error",
+                                        "All motors have another torque and back-EMF constant.",
+                                        "k2, k3 of all motors times scale",
+                                        "motor",
+                                        "data sheet against motor",
+                                        Scope::kCommon,
+                                        kRobot,
+                                        kPrepare,
+                                        1,
+                                        {{"scale", "1", 1.0, 0.5, 1.5, 0.08}}};
     template <class S, int N>
-    static void prepare(Constants<S, N>& c, const Values<S>& p) {
+    static void prepare(Constants<S, N> &c, const Values<S> &p) {
         WeakMotor::prepare(c, p);
     }
 };
 
 struct MotorInertiaError : Effect {
     static constexpr EffectInfo info = {
-        "motor_inertia_error", "The inertia at the motor shaft is another.", "J0 + x", "motor",
-        "eq. (7)", Scope::kCommon, kRobot, kPrepare, 1,
+        "motor_inertia_error",
+        "The inertia at the motor shaft is another.",
+        "J0 + x",
+        "motor",
+        "eq. (7)",
+        Scope::kCommon,
+        kRobot,
+        kPrepare,
+        1,
         {{"inertia_kg_m2", "kg m^2", 0.0, -2.0e-5, 2.0e-4, 4.0e-6}}};
     template <class S, int N>
-    static void prepare(Constants<S, N>& c, const Values<S>& p) {
+    static void prepare(Constants<S, N> &c, const Values<S> &p) {
         for (int i = 0; i < N; ++i) {
             c.shaft_inertia_kg_m2[i] = c.shaft_inertia_kg_m2[i] + p(0, i);
         }
@@ -303,11 +359,18 @@ struct MotorInertiaError : Effect {
 
 struct ViscousFrictionError : Effect {
     static constexpr EffectInfo info = {
-        "viscous_friction_error", "The speed-proportional friction of the drive is another.",
-        "b0 + x", "shaft", "eq. (7)", Scope::kCommon, kRobot | kAxis, kPrepare, 1,
+        "viscous_friction_error",
+        "The speed-proportional friction of the drive is another.",
+        "b0 + x",
+        "shaft",
+        "eq. (7)",
+        Scope::kCommon,
+        kRobot | kAxis,
+        kPrepare,
+        1,
         {{"viscous_friction_nm_s", "N m s", 0.0, -kUnbounded, kUnbounded, 1.5e-5}}};
     template <class S, int N>
-    static void prepare(Constants<S, N>& c, const Values<S>& p) {
+    static void prepare(Constants<S, N> &c, const Values<S> &p) {
         for (int i = 0; i < N; ++i) {
             c.viscous_friction_nm_s[i] = c.viscous_friction_nm_s[i] + p(0, i);
         }
@@ -315,25 +378,38 @@ struct ViscousFrictionError : Effect {
 };
 
 struct CoulombFriction : Effect {
-    static constexpr EffectInfo info = {
-        "coulomb_friction", "Dry friction of the drive, constant against the motion.",
-        "shaft torque -T sg(W)", "shaft", "Coulomb", Scope::kCommon, kRobot | kAxis, kShaft, 1,
-        {{"torque_nm", "N m", 0.0, 0.0, kUnbounded, 0.005}}};
+    static constexpr EffectInfo info = {"coulomb_friction",
+                                        "Dry friction of the drive, constant against the motion.",
+                                        "shaft torque -T sg(W)",
+                                        "shaft",
+                                        "Coulomb",
+                                        Scope::kCommon,
+                                        kRobot | kAxis,
+                                        kShaft,
+                                        1,
+                                        {{"torque_nm", "N m", 0.0, 0.0, kUnbounded, 0.005}}};
     template <class S, int N>
-    static void shaft(ShaftTerm<S, N>& c, const Values<S>& p) {
-        for (int i = 0; i < N; ++i) c.torque_nm[i] = c.torque_nm[i] - p(0, i) * c.sign[i];
+    static void shaft(ShaftTerm<S, N> &c, const Values<S> &p) {
+        for (int i = 0; i < N; ++i)
+            c.torque_nm[i] = c.torque_nm[i] - p(0, i) * c.sign[i];
     }
 };
 
 struct AsymmetricFriction : Effect {
     static constexpr EffectInfo info = {
-        "asymmetric_friction", "Extra friction in the positive direction only.",
-        "shaft torque -(T + v W) sg(W) (1 + sg(W)) / 2", "shaft",
-        "worn screw or gear; Janot et al., EMPS", Scope::kCommon, kRobot | kAxis, kShaft, 2,
+        "asymmetric_friction",
+        "Extra friction in the positive direction only.",
+        "shaft torque -(T + v W) sg(W) (1 + sg(W)) / 2",
+        "shaft",
+        "worn screw or gear; Janot et al., EMPS",
+        Scope::kCommon,
+        kRobot | kAxis,
+        kShaft,
+        2,
         {{"torque_nm", "N m", 0.0, -kUnbounded, kUnbounded, 0.004},
          {"viscous_nm_s", "N m s", 0.0, -kUnbounded, kUnbounded, 1.0e-5}}};
     template <class S, int N>
-    static void shaft(ShaftTerm<S, N>& c, const Values<S>& p) {
+    static void shaft(ShaftTerm<S, N> &c, const Values<S> &p) {
         for (int i = 0; i < N; ++i) {
             const S forward = c.sign[i] * (S(1.0) + c.sign[i]) * S(0.5);
             c.torque_nm[i] = c.torque_nm[i] - (p(0, i) + p(1, i) * c.speed_rad_s[i]) * forward;
@@ -342,14 +418,19 @@ struct AsymmetricFriction : Effect {
 };
 
 struct StribeckFriction : Effect {
-    static constexpr EffectInfo info = {
-        "stribeck_friction", "More friction near standstill than in motion.",
-        "shaft torque -T exp(-(W/ws)^2) sg(W)", "shaft", "Stribeck", Scope::kCommon,
-        kRobot | kAxis, kShaft, 2,
-        {{"torque_nm", "N m", 0.0, 0.0, kUnbounded, 0.006},
-         {"speed_rad_s", "rad/s", 10.0, 0.0, kUnbounded, 0.0}}};
+    static constexpr EffectInfo info = {"stribeck_friction",
+                                        "More friction near standstill than in motion.",
+                                        "shaft torque -T exp(-(W/ws)^2) sg(W)",
+                                        "shaft",
+                                        "Stribeck",
+                                        Scope::kCommon,
+                                        kRobot | kAxis,
+                                        kShaft,
+                                        2,
+                                        {{"torque_nm", "N m", 0.0, 0.0, kUnbounded, 0.006},
+                                         {"speed_rad_s", "rad/s", 10.0, 0.0, kUnbounded, 0.0}}};
     template <class S, int N>
-    static void shaft(ShaftTerm<S, N>& c, const Values<S>& p) {
+    static void shaft(ShaftTerm<S, N> &c, const Values<S> &p) {
         using std::exp;
         for (int i = 0; i < N; ++i) {
             const S ratio = c.speed_rad_s[i] / p(1, i);
@@ -359,12 +440,18 @@ struct StribeckFriction : Effect {
 };
 
 struct LoadDependentFriction : Effect {
-    static constexpr EffectInfo info = {
-        "load_dependent_friction", "Gear friction in proportion to the transmitted torque.",
-        "shaft torque -c abs(tau) sg(W)", "shaft", "gear mesh loss; Rhoban BAM M4", Scope::kCommon,
-        kRobot | kAxis, kShaft, 1, {{"coefficient", "1", 0.0, 0.0, 0.9, 0.05}}};
+    static constexpr EffectInfo info = {"load_dependent_friction",
+                                        "Gear friction in proportion to the transmitted torque.",
+                                        "shaft torque -c abs(tau) sg(W)",
+                                        "shaft",
+                                        "gear mesh loss; Rhoban BAM M4",
+                                        Scope::kCommon,
+                                        kRobot | kAxis,
+                                        kShaft,
+                                        1,
+                                        {{"coefficient", "1", 0.0, 0.0, 0.9, 0.05}}};
     template <class S, int N>
-    static void shaft(ShaftTerm<S, N>& c, const Values<S>& p) {
+    static void shaft(ShaftTerm<S, N> &c, const Values<S> &p) {
         using std::abs;
         for (int i = 0; i < N; ++i) {
             c.torque_nm[i] = c.torque_nm[i] - p(0, i) * abs(c.motor_torque_nm[i]) * c.sign[i];
@@ -374,81 +461,117 @@ struct LoadDependentFriction : Effect {
 
 struct QuadraticWheelDrag : Effect {
     static constexpr EffectInfo info = {
-        "quadratic_wheel_drag", "Drag on the shaft that grows with the square of the speed.",
-        "shaft torque -c W abs(W)", "shaft", "windage, grease churning", Scope::kCommon,
-        kRobot | kAxis, kShaft, 1,
+        "quadratic_wheel_drag",
+        "Drag on the shaft that grows with the square of the speed.",
+        "shaft torque -c W abs(W)",
+        "shaft",
+        "windage, grease churning",
+        Scope::kCommon,
+        kRobot | kAxis,
+        kShaft,
+        1,
         {{"coefficient", "N m s^2", 0.0, -kUnbounded, kUnbounded, 4.0e-8}}};
     template <class S, int N>
-    static void shaft(ShaftTerm<S, N>& c, const Values<S>& p) {
+    static void shaft(ShaftTerm<S, N> &c, const Values<S> &p) {
         using std::abs;
         for (int i = 0; i < N; ++i) {
-            c.torque_nm[i] =
-                c.torque_nm[i] - p(0, i) * c.speed_rad_s[i] * abs(c.speed_rad_s[i]);
+            c.torque_nm[i] = c.torque_nm[i] - p(0, i) * c.speed_rad_s[i] * abs(c.speed_rad_s[i]);
         }
     }
 };
 
 struct OneWheelDrag : Effect {
-    static constexpr EffectInfo info = {
-        "one_wheel_drag", "Dry friction on one drive only.", "shaft torque -T sg(W) on one shaft",
-        "shaft", "rubbing wheel or bearing", Scope::kSingle, kRobot, kShaft, 1,
-        {{"torque_nm", "N m", 0.0, 0.0, kUnbounded, 0.008}}};
+    static constexpr EffectInfo info = {"one_wheel_drag",
+                                        "Dry friction on one drive only.",
+                                        "shaft torque -T sg(W) on one shaft",
+                                        "shaft",
+                                        "rubbing wheel or bearing",
+                                        Scope::kSingle,
+                                        kRobot,
+                                        kShaft,
+                                        1,
+                                        {{"torque_nm", "N m", 0.0, 0.0, kUnbounded, 0.008}}};
     template <class S, int N>
-    static void shaft(ShaftTerm<S, N>& c, const Values<S>& p) {
+    static void shaft(ShaftTerm<S, N> &c, const Values<S> &p) {
         CoulombFriction::shaft(c, p);
     }
 };
 
 struct Cogging : Effect {
-    static constexpr EffectInfo info = {
-        "cogging", "Torque ripple that repeats with the angle of the shaft.",
-        "shaft torque -T sin(n th + phase)", "shaft", "slots and magnets", Scope::kCommon,
-        kRobot | kAxis, kShaft, 3,
-        {{"torque_nm", "N m", 0.0, 0.0, kUnbounded, 0.004},
-         {"cycles_per_rev", "1", 7.0, 1.0, 200.0, 0.0},
-         {"phase_rad", "rad", 0.0, -kPi, kPi, 0.0}}};
+    static constexpr EffectInfo info = {"cogging",
+                                        "Torque ripple that repeats with the angle of the shaft.",
+                                        "shaft torque -T sin(n th + phase)",
+                                        "shaft",
+                                        "slots and magnets",
+                                        Scope::kCommon,
+                                        kRobot | kAxis,
+                                        kShaft,
+                                        3,
+                                        {{"torque_nm", "N m", 0.0, 0.0, kUnbounded, 0.004},
+                                         {"cycles_per_rev", "1", 7.0, 1.0, 200.0, 0.0},
+                                         {"phase_rad", "rad", 0.0, -kPi, kPi, 0.0}}};
     template <class S, int N>
-    static void shaft(ShaftTerm<S, N>& c, const Values<S>& p) {
+    static void shaft(ShaftTerm<S, N> &c, const Values<S> &p) {
         using std::sin;
         for (int i = 0; i < N; ++i) {
-            c.torque_nm[i] =
-                c.torque_nm[i] - p(0, i) * sin(p(1, i) * c.angle_rad[i] + p(2, i));
+            c.torque_nm[i] = c.torque_nm[i] - p(0, i) * sin(p(1, i) * c.angle_rad[i] + p(2, i));
         }
     }
 };
 
 struct ForceOffset : Effect {
     static constexpr EffectInfo info = {
-        "force_offset", "A constant force on the axis: offset of the drive or of gravity.",
-        "constant force or torque added", "shaft", "amplifier offset, tilt", Scope::kCommon, kAxis,
-        kShaft, 1, {{"torque_nm", "N m", 0.0, -kUnbounded, kUnbounded, 0.003}}};
+        "force_offset",
+        "A constant force on the axis: offset of the drive or of gravity.",
+        "constant force or torque added",
+        "shaft",
+        "amplifier offset, tilt",
+        Scope::kCommon,
+        kAxis,
+        kShaft,
+        1,
+        {{"torque_nm", "N m", 0.0, -kUnbounded, kUnbounded, 0.003}}};
     template <class S, int N>
-    static void shaft(ShaftTerm<S, N>& c, const Values<S>& p) {
-        for (int i = 0; i < N; ++i) c.torque_nm[i] = c.torque_nm[i] + p(0, i);
+    static void shaft(ShaftTerm<S, N> &c, const Values<S> &p) {
+        for (int i = 0; i < N; ++i)
+            c.torque_nm[i] = c.torque_nm[i] + p(0, i);
     }
 };
 
 /* ---------------------------------------------------------------------- wheels and geometry */
 
 struct WheelRadiusError : Effect {
-    static constexpr EffectInfo info = {
-        "wheel_radius_error", "A wheel (or every wheel) has another radius.", "R times scale",
-        "wheel", "wear, tolerance", Scope::kCommonOrSingle, kRobot, kPrepare, 1,
-        {{"scale", "1", 1.0, 0.7, 1.3, 0.02}}};
+    static constexpr EffectInfo info = {"wheel_radius_error",
+                                        "A wheel (or every wheel) has another radius.",
+                                        "R times scale",
+                                        "wheel",
+                                        "wear, tolerance",
+                                        Scope::kCommonOrSingle,
+                                        kRobot,
+                                        kPrepare,
+                                        1,
+                                        {{"scale", "1", 1.0, 0.7, 1.3, 0.02}}};
     template <class S, int N>
-    static void prepare(Constants<S, N>& c, const Values<S>& p) {
-        for (int i = 0; i < N; ++i) c.wheel_radius_m[i] = c.wheel_radius_m[i] * p(0, i);
+    static void prepare(Constants<S, N> &c, const Values<S> &p) {
+        for (int i = 0; i < N; ++i)
+            c.wheel_radius_m[i] = c.wheel_radius_m[i] * p(0, i);
     }
 };
 
 struct WheelEccentricity : Effect {
     static constexpr EffectInfo info = {
-        "wheel_eccentricity", "A wheel runs out of round once per turn.",
-        "R (1 + A sin(wheel angle + phase))", "wheel", "hub off centre", Scope::kSingle, kRobot,
-        kContact, 2,
+        "wheel_eccentricity",
+        "A wheel runs out of round once per turn.",
+        "R (1 + A sin(wheel angle + phase))",
+        "wheel",
+        "hub off centre",
+        Scope::kSingle,
+        kRobot,
+        kContact,
+        2,
         {{"amplitude", "1", 0.0, 0.0, 0.3, 0.02}, {"phase_rad", "rad", 0.0, -kPi, kPi, 0.0}}};
     template <class S, int N>
-    static void contact(ContactTerm<S, N>& c, const Values<S>& p) {
+    static void contact(ContactTerm<S, N> &c, const Values<S> &p) {
         using std::sin;
         for (int i = 0; i < N; ++i) {
             const S wheel_angle = c.shaft_angle_rad[i] / c.gear_ratio;
@@ -458,12 +581,18 @@ struct WheelEccentricity : Effect {
 };
 
 struct WheelAngleError : Effect {
-    static constexpr EffectInfo info = {
-        "wheel_angle_error", "A wheel is mounted turned about the vertical.",
-        "drive and roller direction turned, position kept", "wheel", "bent bracket",
-        Scope::kSingle, kRobot, kPrepare, 1, {{"angle_rad", "rad", 0.0, -0.5, 0.5, 0.03}}};
+    static constexpr EffectInfo info = {"wheel_angle_error",
+                                        "A wheel is mounted turned about the vertical.",
+                                        "drive and roller direction turned, position kept",
+                                        "wheel",
+                                        "bent bracket",
+                                        Scope::kSingle,
+                                        kRobot,
+                                        kPrepare,
+                                        1,
+                                        {{"angle_rad", "rad", 0.0, -0.5, 0.5, 0.03}}};
     template <class S, int N>
-    static void prepare(Constants<S, N>& c, const Values<S>& p) {
+    static void prepare(Constants<S, N> &c, const Values<S> &p) {
         for (int i = 0; i < N; ++i) {
             c.roller_angle_offset_rad[i] = c.roller_angle_offset_rad[i] + p(0, i);
         }
@@ -471,12 +600,18 @@ struct WheelAngleError : Effect {
 };
 
 struct WheelDistanceError : Effect {
-    static constexpr EffectInfo info = {
-        "wheel_distance_error", "The wheels sit nearer to or farther from the centre.",
-        "L times scale", "wheel", "contact point of the rollers", Scope::kWhole, kRobot, kPrepare,
-        1, {{"scale", "1", 1.0, 0.7, 1.3, 0.02}}};
+    static constexpr EffectInfo info = {"wheel_distance_error",
+                                        "The wheels sit nearer to or farther from the centre.",
+                                        "L times scale",
+                                        "wheel",
+                                        "contact point of the rollers",
+                                        Scope::kWhole,
+                                        kRobot,
+                                        kPrepare,
+                                        1,
+                                        {{"scale", "1", 1.0, 0.7, 1.3, 0.02}}};
     template <class S, int N>
-    static void prepare(Constants<S, N>& c, const Values<S>& p) {
+    static void prepare(Constants<S, N> &c, const Values<S> &p) {
         c.wheel_distance_m = c.wheel_distance_m * p(0);
     }
 };
@@ -484,46 +619,71 @@ struct WheelDistanceError : Effect {
 /* -------------------------------------------------------------------------------- contact */
 
 struct LowGrip : Effect {
-    static constexpr EffectInfo info = {
-        "low_grip", "Every wheel grips less (or more) than believed.",
-        "mu_drive of all wheels times scale", "contact", "dust, floor", Scope::kCommon, kRobot,
-        kPrepare, 1, {{"scale", "1", 1.0, 0.05, 3.0, -0.15}}};
+    static constexpr EffectInfo info = {"low_grip",
+                                        "Every wheel grips less (or more) than believed.",
+                                        "mu_drive of all wheels times scale",
+                                        "contact",
+                                        "dust, floor",
+                                        Scope::kCommon,
+                                        kRobot,
+                                        kPrepare,
+                                        1,
+                                        {{"scale", "1", 1.0, 0.05, 3.0, -0.15}}};
     template <class S, int N>
-    static void prepare(Constants<S, N>& c, const Values<S>& p) {
-        for (int i = 0; i < N; ++i) c.mu_drive[i] = c.mu_drive[i] * p(0, i);
+    static void prepare(Constants<S, N> &c, const Values<S> &p) {
+        for (int i = 0; i < N; ++i)
+            c.mu_drive[i] = c.mu_drive[i] * p(0, i);
     }
 };
 
 struct UnevenGrip : Effect {
-    static constexpr EffectInfo info = {
-        "uneven_grip", "One wheel grips less (or more) than the others.",
-        "mu_drive of one wheel times scale", "contact", "worn rollers", Scope::kSingle, kRobot,
-        kPrepare, 1, {{"scale", "1", 1.0, 0.05, 3.0, -0.2}}};
+    static constexpr EffectInfo info = {"uneven_grip",
+                                        "One wheel grips less (or more) than the others.",
+                                        "mu_drive of one wheel times scale",
+                                        "contact",
+                                        "worn rollers",
+                                        Scope::kSingle,
+                                        kRobot,
+                                        kPrepare,
+                                        1,
+                                        {{"scale", "1", 1.0, 0.05, 3.0, -0.2}}};
     template <class S, int N>
-    static void prepare(Constants<S, N>& c, const Values<S>& p) {
+    static void prepare(Constants<S, N> &c, const Values<S> &p) {
         LowGrip::prepare(c, p);
     }
 };
 
 struct SlipStiffnessError : Effect {
-    static constexpr EffectInfo info = {
-        "slip_stiffness_error", "The friction force rises faster or slower with slip.",
-        "k times scale", "contact", "eq. (13)", Scope::kWhole, kRobot, kPrepare, 1,
-        {{"scale", "1", 1.0, 0.05, 20.0, 0.3}}};
+    static constexpr EffectInfo info = {"slip_stiffness_error",
+                                        "The friction force rises faster or slower with slip.",
+                                        "k times scale",
+                                        "contact",
+                                        "eq. (13)",
+                                        Scope::kWhole,
+                                        kRobot,
+                                        kPrepare,
+                                        1,
+                                        {{"scale", "1", 1.0, 0.05, 20.0, 0.3}}};
     template <class S, int N>
-    static void prepare(Constants<S, N>& c, const Values<S>& p) {
+    static void prepare(Constants<S, N> &c, const Values<S> &p) {
         c.slip_stiffness_s_m = c.slip_stiffness_s_m * p(0);
     }
 };
 
 struct GripFalloff : Effect {
     static constexpr EffectInfo info = {
-        "grip_falloff", "Grip falls once the wheel slides fast.",
-        "mu (1 - f (1 - exp(-(s/v)^2)))", "contact", "friction peak and fall-off", Scope::kWhole,
-        kRobot, kContact, 2,
+        "grip_falloff",
+        "Grip falls once the wheel slides fast.",
+        "mu (1 - f (1 - exp(-(s/v)^2)))",
+        "contact",
+        "friction peak and fall-off",
+        Scope::kWhole,
+        kRobot,
+        kContact,
+        2,
         {{"fraction", "1", 0.0, -0.5, 0.9, 0.2}, {"speed_m_s", "m/s", 0.3, 0.02, 5.0, 0.0}}};
     template <class S, int N>
-    static void contact(ContactTerm<S, N>& c, const Values<S>& p) {
+    static void contact(ContactTerm<S, N> &c, const Values<S> &p) {
         using std::exp;
         for (int i = 0; i < N; ++i) {
             const S ratio = c.slip_m_s[i] / p(1);
@@ -533,41 +693,66 @@ struct GripFalloff : Effect {
 };
 
 struct GripDrift : Effect {
-    static constexpr EffectInfo info = {
-        "grip_drift", "Grip falls steadily during the run.", "mu (1 - rate t)", "contact",
-        "dust, warm rollers", Scope::kWhole, kRobot, kContact, 1,
-        {{"rate_1_s", "1/s", 0.0, -0.1, 0.1, 0.02}}};
+    static constexpr EffectInfo info = {"grip_drift",
+                                        "Grip falls steadily during the run.",
+                                        "mu (1 - rate t)",
+                                        "contact",
+                                        "dust, warm rollers",
+                                        Scope::kWhole,
+                                        kRobot,
+                                        kContact,
+                                        1,
+                                        {{"rate_1_s", "1/s", 0.0, -0.1, 0.1, 0.02}}};
     template <class S, int N>
-    static void contact(ContactTerm<S, N>& c, const Values<S>& p) {
-        for (int i = 0; i < N; ++i) c.mu_drive[i] = c.mu_drive[i] * (S(1.0) - p(0) * c.time_s);
+    static void contact(ContactTerm<S, N> &c, const Values<S> &p) {
+        for (int i = 0; i < N; ++i)
+            c.mu_drive[i] = c.mu_drive[i] * (S(1.0) - p(0) * c.time_s);
     }
 };
 
 struct ContactShape : Effect {
     static constexpr EffectInfo info = {
-        "contact_shape", "The friction law bends otherwise between stick and slide.",
-        "(1 - b) (2/pi) atan(k s) + b tanh((2/pi) k s)", "contact", "tyre against arctangent law",
-        Scope::kWhole, kRobot, kContact, 1, {{"blend", "1", 0.0, -1.0, 2.5, 0.4}}};
+        "contact_shape",
+        "The friction law bends otherwise between stick and slide.",
+        "(1 - b - c) (2/pi) atan(k s) + b tanh(x) + c x / sqrt(1 + x^2), x = (2/pi) k s",
+        "contact",
+        "tyre and brush laws against the arctangent; c only where b alone does not fit",
+        Scope::kWhole,
+        kRobot,
+        kContact,
+        2,
+        {{"blend", "1", 0.0, -1.0, 2.5, 0.4}, {"brush", "1", 0.0, -2.5, 2.5, 0.3}}};
     template <class S, int N>
-    static void contact(ContactTerm<S, N>& c, const Values<S>& p) {
-        using std::tanh;
+    static void contact(ContactTerm<S, N> &c, const Values<S> &p) {
         for (int i = 0; i < N; ++i) {
-            const S sharp = tanh(S(2.0 / kPi) * c.scaled_slip[i]);
-            c.shape[i] = c.shape[i] + p(0) * (sharp - c.shape[i]);
-            const S across = tanh(S(2.0 / kPi) * c.scaled_roller[i]);
-            c.roller_shape[i] = c.roller_shape[i] + p(0) * (across - c.roller_shape[i]);
+            c.shape[i] = bend(c.shape[i], c.scaled_slip[i], p);
+            c.roller_shape[i] = bend(c.roller_shape[i], c.scaled_roller[i], p);
         }
+    }
+    template <class S>
+    static S bend(const S &shape, const S &scaled_slip, const Values<S> &p) {
+        using std::sqrt;
+        using std::tanh;
+        const S x = S(2.0 / kPi) * scaled_slip;
+        const S brush = x / sqrt(S(1.0) + x * x);
+        return shape + p(0) * (tanh(x) - shape) + p(1) * (brush - shape);
     }
 };
 
 struct CarpetAnisotropy : Effect {
     static constexpr EffectInfo info = {
-        "carpet_anisotropy", "Grip depends on the direction over the floor.",
-        "mu (1 + c cos 2p + s sin 2p), p = world direction of the drive axis", "contact",
-        "nap of the carpet", Scope::kWhole, kRobot, kContact, 2,
+        "carpet_anisotropy",
+        "Grip depends on the direction over the floor.",
+        "mu (1 + c cos 2p + s sin 2p), p = world direction of the drive axis",
+        "contact",
+        "nap of the carpet",
+        Scope::kWhole,
+        kRobot,
+        kContact,
+        2,
         {{"cos2", "1", 0.0, -0.8, 0.8, 0.12}, {"sin2", "1", 0.0, -0.8, 0.8, 0.12}}};
     template <class S, int N>
-    static void contact(ContactTerm<S, N>& c, const Values<S>& p) {
+    static void contact(ContactTerm<S, N> &c, const Values<S> &p) {
         using std::cos;
         using std::sin;
         for (int i = 0; i < N; ++i) {
@@ -579,43 +764,62 @@ struct CarpetAnisotropy : Effect {
 
 struct SlipperyPatch : Effect {
     static constexpr EffectInfo info = {
-        "slippery_patch", "A part of the floor is slippery (or sticky).",
-        "mu_drive times scale while the body centre is inside", "contact", "spill, tape",
-        Scope::kWhole, kRobot, kContact, 5,
+        "slippery_patch",
+        "A part of the floor is slippery (or sticky).",
+        "mu_drive times scale while the body centre is inside",
+        "contact",
+        "spill, tape",
+        Scope::kWhole,
+        kRobot,
+        kContact,
+        5,
         {{"x_min_m", "m", -kUnbounded, -kUnbounded, kUnbounded, 0.0},
          {"x_max_m", "m", kUnbounded, -kUnbounded, kUnbounded, 0.0},
          {"y_min_m", "m", -kUnbounded, -kUnbounded, kUnbounded, 0.0},
          {"y_max_m", "m", kUnbounded, -kUnbounded, kUnbounded, 0.0},
          {"scale", "1", 1.0, 0.05, 3.0, -0.4}}};
     template <class S, int N>
-    static void contact(ContactTerm<S, N>& c, const Values<S>& p) {
+    static void contact(ContactTerm<S, N> &c, const Values<S> &p) {
         S scale = select(c.x_m >= p(0), p(4), S(1.0));
         scale = select(c.x_m <= p(1), scale, S(1.0));
         scale = select(c.y_m >= p(2), scale, S(1.0));
         scale = select(c.y_m <= p(3), scale, S(1.0));
-        for (int i = 0; i < N; ++i) c.mu_drive[i] = c.mu_drive[i] * scale;
+        for (int i = 0; i < N; ++i)
+            c.mu_drive[i] = c.mu_drive[i] * scale;
     }
 };
 
 struct RollerFriction : Effect {
-    static constexpr EffectInfo info = {
-        "roller_friction", "The free rollers resist more than believed.", "mu_roller + x",
-        "contact", "roller bearings", Scope::kWhole, kRobot, kPrepare, 1,
-        {{"mu", "1", 0.0, -0.2, 0.6, 0.015}}};
+    static constexpr EffectInfo info = {"roller_friction",
+                                        "The free rollers resist more than believed.",
+                                        "mu_roller + x",
+                                        "contact",
+                                        "roller bearings",
+                                        Scope::kWhole,
+                                        kRobot,
+                                        kPrepare,
+                                        1,
+                                        {{"mu", "1", 0.0, -0.2, 0.6, 0.015}}};
     template <class S, int N>
-    static void prepare(Constants<S, N>& c, const Values<S>& p) {
+    static void prepare(Constants<S, N> &c, const Values<S> &p) {
         c.mu_roller = c.mu_roller + p(0);
     }
 };
 
 struct RollerRipple : Effect {
     static constexpr EffectInfo info = {
-        "roller_ripple", "The drive force ripples as roller follows roller.",
-        "f (1 + A sin(rollers wheel angle))", "contact", "roller gaps; Williams et al. 2002",
-        Scope::kWhole, kRobot, kContact, 2,
+        "roller_ripple",
+        "The drive force ripples as roller follows roller.",
+        "f (1 + A sin(rollers wheel angle))",
+        "contact",
+        "roller gaps; Williams et al. 2002",
+        Scope::kWhole,
+        kRobot,
+        kContact,
+        2,
         {{"amplitude", "1", 0.0, -0.9, 0.9, 0.1}, {"rollers", "1", 12.0, 1.0, 60.0, 0.0}}};
     template <class S, int N>
-    static void contact(ContactTerm<S, N>& c, const Values<S>& p) {
+    static void contact(ContactTerm<S, N> &c, const Values<S> &p) {
         using std::sin;
         for (int i = 0; i < N; ++i) {
             const S wheel_angle = c.shaft_angle_rad[i] / c.gear_ratio;
@@ -626,11 +830,18 @@ struct RollerRipple : Effect {
 
 struct RollingResistance : Effect {
     static constexpr EffectInfo info = {
-        "rolling_resistance", "The floor resists rolling; the motor does not feel it.",
-        "body force -c N tanh(VT / 0.02 m/s) along the drive direction", "contact", "soft floor",
-        Scope::kWhole, kRobot, kBody, 1, {{"coefficient", "1", 0.0, 0.0, 0.3, 0.01}}};
+        "rolling_resistance",
+        "The floor resists rolling; the motor does not feel it.",
+        "body force -c N tanh(VT / 0.02 m/s) along the drive direction",
+        "contact",
+        "soft floor",
+        Scope::kWhole,
+        kRobot,
+        kBody,
+        1,
+        {{"coefficient", "1", 0.0, 0.0, 0.3, 0.01}}};
     template <class S, int N>
-    static void body(BodyTerm<S, N>& c, const Values<S>& p) {
+    static void body(BodyTerm<S, N> &c, const Values<S> &p) {
         using std::tanh;
         for (int i = 0; i < N; ++i) {
             c.force_along_drive_per_load[i] =
@@ -642,24 +853,36 @@ struct RollingResistance : Effect {
 /* ----------------------------------------------------------------------------------- body */
 
 struct LoadTransfer : Effect {
-    static constexpr EffectInfo info = {
-        "load_transfer", "Acceleration shifts load between the wheels.",
-        "N_i = m g / 4 - m h (x_i ax / sum x^2 + y_i ay / sum y^2)", "body",
-        "height of the centre of gravity", Scope::kWhole, kRobot, kPrepare, 1,
-        {{"cog_height_m", "m", 0.0, 0.0, 0.5, 0.08}}};
+    static constexpr EffectInfo info = {"load_transfer",
+                                        "Acceleration shifts load between the wheels.",
+                                        "N_i = m g / 4 - m h (x_i ax / sum x^2 + y_i ay / sum y^2)",
+                                        "body",
+                                        "height of the centre of gravity",
+                                        Scope::kWhole,
+                                        kRobot,
+                                        kPrepare,
+                                        1,
+                                        {{"cog_height_m", "m", 0.0, 0.0, 0.5, 0.08}}};
     template <class S, int N>
-    static void prepare(Constants<S, N>& c, const Values<S>& p) {
+    static void prepare(Constants<S, N> &c, const Values<S> &p) {
         c.cog_height_m = c.cog_height_m + p(0);
     }
 };
 
 struct DiagonalLoadBias : Effect {
     static constexpr EffectInfo info = {
-        "diagonal_load_bias", "The robot stands on two opposite wheels more than on the others.",
-        "N += f (1, -1, 1, -1)", "body", "four legs on an uneven floor", Scope::kWhole, kRobot,
-        kPrepare, 1, {{"force_n", "N", 0.0, -45.0, 45.0, 6.0}}};
+        "diagonal_load_bias",
+        "The robot stands on two opposite wheels more than on the others.",
+        "N += f (1, -1, 1, -1)",
+        "body",
+        "four legs on an uneven floor",
+        Scope::kWhole,
+        kRobot,
+        kPrepare,
+        1,
+        {{"force_n", "N", 0.0, -45.0, 45.0, 6.0}}};
     template <class S, int N>
-    static void prepare(Constants<S, N>& c, const Values<S>& p) {
+    static void prepare(Constants<S, N> &c, const Values<S> &p) {
         for (int i = 0; i < N; ++i) {
             c.load_bias_n[i] = c.load_bias_n[i] + (i % 2 == 0 ? p(0) : -p(0));
         }
@@ -667,35 +890,53 @@ struct DiagonalLoadBias : Effect {
 };
 
 struct Payload : Effect {
-    static constexpr EffectInfo info = {
-        "payload", "The robot is heavier (or lighter) than believed.", "m + x at the centre",
-        "body", "load, battery", Scope::kWhole, kRobot | kAxis, kPrepare, 1,
-        {{"mass_kg", "kg", 0.0, -kUnbounded, kUnbounded, 1.2}}};
+    static constexpr EffectInfo info = {"payload",
+                                        "The robot is heavier (or lighter) than believed.",
+                                        "m + x at the centre",
+                                        "body",
+                                        "load, battery",
+                                        Scope::kWhole,
+                                        kRobot | kAxis,
+                                        kPrepare,
+                                        1,
+                                        {{"mass_kg", "kg", 0.0, -kUnbounded, kUnbounded, 1.2}}};
     template <class S, int N>
-    static void prepare(Constants<S, N>& c, const Values<S>& p) {
+    static void prepare(Constants<S, N> &c, const Values<S> &p) {
         c.mass_kg = c.mass_kg + p(0);
     }
 };
 
 struct InertiaError : Effect {
-    static constexpr EffectInfo info = {
-        "inertia_error", "The robot turns heavier (or lighter) than believed.", "Iz + x", "body",
-        "mass distribution", Scope::kWhole, kRobot | kAxis, kPrepare, 1,
-        {{"inertia_kg_m2", "kg m^2", 0.0, -0.5, 5.0, 0.06}}};
+    static constexpr EffectInfo info = {"inertia_error",
+                                        "The robot turns heavier (or lighter) than believed.",
+                                        "Iz + x",
+                                        "body",
+                                        "mass distribution",
+                                        Scope::kWhole,
+                                        kRobot | kAxis,
+                                        kPrepare,
+                                        1,
+                                        {{"inertia_kg_m2", "kg m^2", 0.0, -0.5, 5.0, 0.06}}};
     template <class S, int N>
-    static void prepare(Constants<S, N>& c, const Values<S>& p) {
+    static void prepare(Constants<S, N> &c, const Values<S> &p) {
         c.inertia_kg_m2 = c.inertia_kg_m2 + p(0);
     }
 };
 
 struct CogOffset : Effect {
     static constexpr EffectInfo info = {
-        "cog_offset", "The centre of gravity is off the wheel centre.",
-        "rigid-body coupling with Iz about the centre of gravity, static wheel loads", "body",
-        "battery off centre", Scope::kWhole, kRobot, kPrepare, 2,
+        "cog_offset",
+        "The centre of gravity is off the wheel centre.",
+        "rigid-body coupling with Iz about the centre of gravity, static wheel loads",
+        "body",
+        "battery off centre",
+        Scope::kWhole,
+        kRobot,
+        kPrepare,
+        2,
         {{"x_m", "m", 0.0, -0.12, 0.12, 0.012}, {"y_m", "m", 0.0, -0.12, 0.12, 0.012}}};
     template <class S, int N>
-    static void prepare(Constants<S, N>& c, const Values<S>& p) {
+    static void prepare(Constants<S, N> &c, const Values<S> &p) {
         c.cog_x_m = c.cog_x_m + p(0);
         c.cog_y_m = c.cog_y_m + p(1);
     }
@@ -703,11 +944,18 @@ struct CogOffset : Effect {
 
 struct FloorSlope : Effect {
     static constexpr EffectInfo info = {
-        "floor_slope", "The floor is not level.", "constant acceleration in the world frame",
-        "body", "tilt", Scope::kWhole, kRobot, kBody, 2,
+        "floor_slope",
+        "The floor is not level.",
+        "constant acceleration in the world frame",
+        "body",
+        "tilt",
+        Scope::kWhole,
+        kRobot,
+        kBody,
+        2,
         {{"x_m_s2", "m/s^2", 0.0, -3.0, 3.0, 0.1}, {"y_m_s2", "m/s^2", 0.0, -3.0, 3.0, 0.1}}};
     template <class S, int N>
-    static void body(BodyTerm<S, N>& c, const Values<S>& p) {
+    static void body(BodyTerm<S, N> &c, const Values<S> &p) {
         c.acceleration_x_m_s2 = c.acceleration_x_m_s2 + p(0);
         c.acceleration_y_m_s2 = c.acceleration_y_m_s2 + p(1);
     }
@@ -715,23 +963,36 @@ struct FloorSlope : Effect {
 
 struct BodyDrag : Effect {
     static constexpr EffectInfo info = {
-        "body_drag", "A force against the motion of the body, in proportion to its speed.",
-        "force -c v", "body", "skids, cable on the floor", Scope::kWhole, kRobot, kBody, 1,
+        "body_drag",
+        "A force against the motion of the body, in proportion to its speed.",
+        "force -c v",
+        "body",
+        "skids, cable on the floor",
+        Scope::kWhole,
+        kRobot,
+        kBody,
+        1,
         {{"coefficient_n_s_m", "N s/m", 0.0, -10.0, 100.0, 2.0}}};
     template <class S, int N>
-    static void body(BodyTerm<S, N>& c, const Values<S>& p) {
+    static void body(BodyTerm<S, N> &c, const Values<S> &p) {
         c.force_x_n = c.force_x_n - p(0) * c.vx_m_s;
         c.force_y_n = c.force_y_n - p(0) * c.vy_m_s;
     }
 };
 
 struct QuadraticBodyDrag : Effect {
-    static constexpr EffectInfo info = {
-        "quadratic_body_drag", "A force against the motion that grows with speed squared.",
-        "force -c abs(v) v", "body", "air drag", Scope::kWhole, kRobot, kBody, 1,
-        {{"coefficient", "N s^2/m^2", 0.0, -10.0, 60.0, 2.0}}};
+    static constexpr EffectInfo info = {"quadratic_body_drag",
+                                        "A force against the motion that grows with speed squared.",
+                                        "force -c abs(v) v",
+                                        "body",
+                                        "air drag",
+                                        Scope::kWhole,
+                                        kRobot,
+                                        kBody,
+                                        1,
+                                        {{"coefficient", "N s^2/m^2", 0.0, -10.0, 60.0, 2.0}}};
     template <class S, int N>
-    static void body(BodyTerm<S, N>& c, const Values<S>& p) {
+    static void body(BodyTerm<S, N> &c, const Values<S> &p) {
         using std::sqrt;
         const S speed = sqrt(c.vx_m_s * c.vx_m_s + c.vy_m_s * c.vy_m_s);
         c.force_x_n = c.force_x_n - p(0) * speed * c.vx_m_s;
@@ -740,15 +1001,20 @@ struct QuadraticBodyDrag : Effect {
 };
 
 struct TetherSpring : Effect {
-    static constexpr EffectInfo info = {
-        "tether_spring", "A cable pulls the robot towards a point of the floor.",
-        "world-fixed spring, force -k (p - p0)", "body", "cable, elastic", Scope::kWhole, kRobot,
-        kBody, 3,
-        {{"stiffness_n_m", "N/m", 0.0, 0.0, 100.0, 2.0},
-         {"x_m", "m", 0.0, -20.0, 20.0, 0.0},
-         {"y_m", "m", 0.0, -20.0, 20.0, 0.0}}};
+    static constexpr EffectInfo info = {"tether_spring",
+                                        "A cable pulls the robot towards a point of the floor.",
+                                        "world-fixed spring, force -k (p - p0)",
+                                        "body",
+                                        "cable, elastic",
+                                        Scope::kWhole,
+                                        kRobot,
+                                        kBody,
+                                        3,
+                                        {{"stiffness_n_m", "N/m", 0.0, 0.0, 100.0, 2.0},
+                                         {"x_m", "m", 0.0, -20.0, 20.0, 0.0},
+                                         {"y_m", "m", 0.0, -20.0, 20.0, 0.0}}};
     template <class S, int N>
-    static void body(BodyTerm<S, N>& c, const Values<S>& p) {
+    static void body(BodyTerm<S, N> &c, const Values<S> &p) {
         const S world_x = p(0) * (p(1) - c.x_m);
         const S world_y = p(0) * (p(2) - c.y_m);
         c.force_x_n = c.force_x_n + c.cos_theta * world_x + c.sin_theta * world_y;
@@ -757,12 +1023,18 @@ struct TetherSpring : Effect {
 };
 
 struct YawScrub : Effect {
-    static constexpr EffectInfo info = {
-        "yaw_scrub", "The contact patches resist turning on the spot.", "torque -T tanh(w / 0.05)",
-        "body", "spin friction", Scope::kWhole, kRobot, kBody, 1,
-        {{"torque_nm", "N m", 0.0, 0.0, 10.0, 0.3}}};
+    static constexpr EffectInfo info = {"yaw_scrub",
+                                        "The contact patches resist turning on the spot.",
+                                        "torque -T tanh(w / 0.05)",
+                                        "body",
+                                        "spin friction",
+                                        Scope::kWhole,
+                                        kRobot,
+                                        kBody,
+                                        1,
+                                        {{"torque_nm", "N m", 0.0, 0.0, 10.0, 0.3}}};
     template <class S, int N>
-    static void body(BodyTerm<S, N>& c, const Values<S>& p) {
+    static void body(BodyTerm<S, N> &c, const Values<S> &p) {
         using std::tanh;
         c.torque_nm = c.torque_nm - p(0) * tanh(c.omega_rad_s * S(20.0));
     }
@@ -771,12 +1043,18 @@ struct YawScrub : Effect {
 /* -------------------------------------------------------------------------------- sensors */
 
 struct PoseLatency : Effect {
-    static constexpr EffectInfo info = {
-        "pose_latency", "The camera shows the pose of a moment ago.",
-        "row shows the pose of t - delay", "sensor", "exposure and transport", Scope::kWhole,
-        kRobot, kSensor, 1, {{"delay_s", "s", 0.0, -0.05, 0.5, 0.01}}};
+    static constexpr EffectInfo info = {"pose_latency",
+                                        "The camera shows the pose of a moment ago.",
+                                        "row shows the pose of t - delay",
+                                        "sensor",
+                                        "exposure and transport",
+                                        Scope::kWhole,
+                                        kRobot,
+                                        kSensor,
+                                        1,
+                                        {{"delay_s", "s", 0.0, -0.05, 0.5, 0.01}}};
     template <class S, int N>
-    static void sensor(SensorTerm<S, N>& c, const Values<S>& p) {
+    static void sensor(SensorTerm<S, N> &c, const Values<S> &p) {
         c.x_m = c.x_m - p(0) * c.world_vx_m_s;
         c.y_m = c.y_m - p(0) * c.world_vy_m_s;
         c.theta_rad = c.theta_rad - p(0) * c.omega_rad_s;
@@ -784,12 +1062,18 @@ struct PoseLatency : Effect {
 };
 
 struct PoseRotation : Effect {
-    static constexpr EffectInfo info = {
-        "pose_rotation", "The camera's axes are turned against the robot's world.",
-        "measured (x, y) = Rot(+a) true (x, y), theta unchanged", "sensor", "camera mounting",
-        Scope::kWhole, kRobot, kSensor, 1, {{"angle_rad", "rad", 0.0, -kPi, kPi, 0.02}}};
+    static constexpr EffectInfo info = {"pose_rotation",
+                                        "The camera's axes are turned against the robot's world.",
+                                        "measured (x, y) = Rot(+a) true (x, y), theta unchanged",
+                                        "sensor",
+                                        "camera mounting",
+                                        Scope::kWhole,
+                                        kRobot,
+                                        kSensor,
+                                        1,
+                                        {{"angle_rad", "rad", 0.0, -kPi, kPi, 0.02}}};
     template <class S, int N>
-    static void sensor(SensorTerm<S, N>& c, const Values<S>& p) {
+    static void sensor(SensorTerm<S, N> &c, const Values<S> &p) {
         using std::cos;
         using std::sin;
         const S x = c.x_m;
@@ -799,12 +1083,18 @@ struct PoseRotation : Effect {
 };
 
 struct ClockSkew : Effect {
-    static constexpr EffectInfo info = {
-        "clock_skew", "The camera's clock runs fast against the log's.",
-        "row at t shows the pose of t (1 - fraction)", "sensor", "unsynchronised clocks",
-        Scope::kWhole, kRobot, kSensor, 1, {{"fraction", "1", 0.0, -0.05, 0.05, 0.003}}};
+    static constexpr EffectInfo info = {"clock_skew",
+                                        "The camera's clock runs fast against the log's.",
+                                        "row at t shows the pose of t (1 - fraction)",
+                                        "sensor",
+                                        "unsynchronised clocks",
+                                        Scope::kWhole,
+                                        kRobot,
+                                        kSensor,
+                                        1,
+                                        {{"fraction", "1", 0.0, -0.05, 0.05, 0.003}}};
     template <class S, int N>
-    static void sensor(SensorTerm<S, N>& c, const Values<S>& p) {
+    static void sensor(SensorTerm<S, N> &c, const Values<S> &p) {
         const S late_s = p(0) * c.time_s;
         c.x_m = c.x_m - late_s * c.world_vx_m_s;
         c.y_m = c.y_m - late_s * c.world_vy_m_s;
@@ -813,46 +1103,71 @@ struct ClockSkew : Effect {
 };
 
 struct GyroBias : Effect {
-    static constexpr EffectInfo info = {
-        "gyro_bias", "The gyro shows a turn at rest.", "measured = true + bias", "sensor",
-        "zero-rate offset", Scope::kWhole, kRobot, kSensor, 1,
-        {{"rate_rad_s", "rad/s", 0.0, -1.0, 1.0, 0.005}}};
+    static constexpr EffectInfo info = {"gyro_bias",
+                                        "The gyro shows a turn at rest.",
+                                        "measured = true + bias",
+                                        "sensor",
+                                        "zero-rate offset",
+                                        Scope::kWhole,
+                                        kRobot,
+                                        kSensor,
+                                        1,
+                                        {{"rate_rad_s", "rad/s", 0.0, -1.0, 1.0, 0.005}}};
     template <class S, int N>
-    static void sensor(SensorTerm<S, N>& c, const Values<S>& p) {
+    static void sensor(SensorTerm<S, N> &c, const Values<S> &p) {
         c.gyro_rad_s = c.gyro_rad_s + p(0);
     }
 };
 
 struct GyroScale : Effect {
-    static constexpr EffectInfo info = {
-        "gyro_scale", "The gyro shows too much or too little.", "measured = scale true", "sensor",
-        "scale factor", Scope::kWhole, kRobot, kSensor, 1,
-        {{"scale", "1", 1.0, 0.5, 1.5, 0.01}}};
+    static constexpr EffectInfo info = {"gyro_scale",
+                                        "The gyro shows too much or too little.",
+                                        "measured = scale true",
+                                        "sensor",
+                                        "scale factor",
+                                        Scope::kWhole,
+                                        kRobot,
+                                        kSensor,
+                                        1,
+                                        {{"scale", "1", 1.0, 0.5, 1.5, 0.01}}};
     template <class S, int N>
-    static void sensor(SensorTerm<S, N>& c, const Values<S>& p) {
+    static void sensor(SensorTerm<S, N> &c, const Values<S> &p) {
         c.gyro_rad_s = c.gyro_rad_s * p(0);
     }
 };
 
 struct EncoderScale : Effect {
-    static constexpr EffectInfo info = {
-        "encoder_scale", "An encoder gives another number of counts per turn.", "counts times scale",
-        "sensor", "wrong disc or setting", Scope::kCommonOrSingle, kRobot, kSensor, 1,
-        {{"scale", "1", 1.0, 0.3, 3.0, 0.02}}};
+    static constexpr EffectInfo info = {"encoder_scale",
+                                        "An encoder gives another number of counts per turn.",
+                                        "counts times scale",
+                                        "sensor",
+                                        "wrong disc or setting",
+                                        Scope::kCommonOrSingle,
+                                        kRobot,
+                                        kSensor,
+                                        1,
+                                        {{"scale", "1", 1.0, 0.3, 3.0, 0.02}}};
     template <class S, int N>
-    static void sensor(SensorTerm<S, N>& c, const Values<S>& p) {
-        for (int i = 0; i < N; ++i) c.encoder_rate[i] = c.encoder_rate[i] * p(0, i);
+    static void sensor(SensorTerm<S, N> &c, const Values<S> &p) {
+        for (int i = 0; i < N; ++i)
+            c.encoder_rate[i] = c.encoder_rate[i] * p(0, i);
     }
 };
 
 struct EncoderDropout : Effect {
-    static constexpr EffectInfo info = {
-        "encoder_dropout", "An encoder loses counts above a speed.",
-        "share of counts lost above the speed", "sensor", "bandwidth of encoder or counter",
-        Scope::kSingle, kRobot, kSensor, 2,
-        {{"fraction", "1", 0.0, 0.0, 1.0, 0.05}, {"speed_rad_s", "rad/s", 150.0, 0.0, 2000.0, 0.0}}};
+    static constexpr EffectInfo info = {"encoder_dropout",
+                                        "An encoder loses counts above a speed.",
+                                        "share of counts lost above the speed",
+                                        "sensor",
+                                        "bandwidth of encoder or counter",
+                                        Scope::kSingle,
+                                        kRobot,
+                                        kSensor,
+                                        2,
+                                        {{"fraction", "1", 0.0, 0.0, 1.0, 0.05},
+                                         {"speed_rad_s", "rad/s", 150.0, 0.0, 2000.0, 0.0}}};
     template <class S, int N>
-    static void sensor(SensorTerm<S, N>& c, const Values<S>& p) {
+    static void sensor(SensorTerm<S, N> &c, const Values<S> &p) {
         using std::abs;
         for (int i = 0; i < N; ++i) {
             const S kept = select(abs(c.speed_rad_s[i]) > p(1, i), S(1.0) - p(0, i), S(1.0));
@@ -875,19 +1190,19 @@ using Catalogue =
 
 constexpr int kEffectCount = static_cast<int>(std::tuple_size<Catalogue>::value);
 
-constexpr int effect_stride(const EffectInfo& info, int motors) {
+constexpr int effect_stride(const EffectInfo &info, int motors) {
     return info.scope == Scope::kWhole ? 1 : motors;
 }
 
 /* Calls `action(effect, index, slot)` for every effect; slot = place of its first parameter among
  * all effect parameters of a plant with `motors` motors. Unrolled by the compiler. */
 template <int Index = 0, class Action>
-inline void for_each_effect(int motors, Action&& action, int slot = 0) {
+inline void for_each_effect(int motors, Action &&action, int slot = 0) {
     if constexpr (Index < kEffectCount) {
         using E = std::tuple_element_t<Index, Catalogue>;
         action(E{}, Index, slot);
-        for_each_effect<Index + 1>(
-            motors, action, slot + E::info.parameter_count * effect_stride(E::info, motors));
+        for_each_effect<Index + 1>(motors, action,
+                                   slot + E::info.parameter_count * effect_stride(E::info, motors));
     }
 }
 

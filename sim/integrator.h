@@ -17,8 +17,8 @@ inline int step_count(double duration_s, double step_s, double fastest_rate_1_s)
 }
 
 template <class Plant, class S, class Internals>
-inline void rk4_step(const Plant& plant, S* x, const S* driven, double time_s, double h,
-                     Internals& in) {
+inline void rk4_step(const Plant &plant, S *x, const S *driven, double time_s, double h,
+                     Internals &in) {
     constexpr int n = Plant::kStates;
     const S half(0.5 * h), full(h), sixth(h / 6.0), third(h / 3.0);
     const S begin(time_s), middle(time_s + 0.5 * h), end(time_s + h);
@@ -39,18 +39,20 @@ inline void rk4_step(const Plant& plant, S* x, const S* driven, double time_s, d
         probe[i] = x[i] + full * k[i];
     }
     plant.derivative(probe, driven, end, k, in);
-    for (int i = 0; i < n; ++i) x[i] = sum[i] + sixth * k[i];
+    for (int i = 0; i < n; ++i)
+        x[i] = sum[i] + sixth * k[i];
 }
 
 /* Advances x from time_s by duration_s under one command. */
 template <class Plant, class S, class Internals>
-inline void advance(const Plant& plant, S* x, const S* command, double time_s, double duration_s,
-                    double step_s, double fastest_rate_1_s, Internals& in) {
+inline void advance(const Plant &plant, S *x, const S *command, double time_s, double duration_s,
+                    double step_s, double fastest_rate_1_s, Internals &in) {
     S driven[Plant::kMotors];
     plant.command(command, driven);
     const int steps = step_count(duration_s, step_s, fastest_rate_1_s);
     const double h = duration_s / steps;
-    for (int i = 0; i < steps; ++i) rk4_step(plant, x, driven, time_s + i * h, h, in);
+    for (int i = 0; i < steps; ++i)
+        rk4_step(plant, x, driven, time_s + i * h, h, in);
 }
 
 }  // namespace omnislip

@@ -27,14 +27,16 @@ inline double select(bool mask, double when_true, double when_false) {
     return mask ? when_true : when_false;
 }
 
-inline double lane(double value, int) { return value; }
+inline double lane(double value, int) {
+    return value;
+}
 template <class T, class A>
-double lane(const xsimd::batch<T, A>& value, int index) {
+double lane(const xsimd::batch<T, A> &value, int index) {
     return value.get(static_cast<std::size_t>(index));
 }
 
 template <class S>
-S sign_of(const S& x) {
+S sign_of(const S &x) {
     return select(x < S(0.0), S(-1.0), select(x > S(0.0), S(1.0), S(0.0)));
 }
 

@@ -11,9 +11,9 @@
 namespace omnislip {
 
 #if defined(__x86_64__)
-Kernel* make_kernel_sse2(int kind);
-Kernel* make_kernel_avx2(int kind);
-Kernel* make_kernel_avx512f(int kind);
+Kernel *make_kernel_sse2(int kind);
+Kernel *make_kernel_avx2(int kind);
+Kernel *make_kernel_avx512f(int kind);
 
 std::unique_ptr<Kernel> make_kernel(int kind, int widest_lanes) {
     if (widest_lanes >= 8 && __builtin_cpu_supports("avx512f")) {
@@ -25,7 +25,7 @@ std::unique_ptr<Kernel> make_kernel(int kind, int widest_lanes) {
     return std::unique_ptr<Kernel>(make_kernel_sse2(kind));
 }
 #else
-Kernel* make_kernel_neon64(int kind);
+Kernel *make_kernel_neon64(int kind);
 
 std::unique_ptr<Kernel> make_kernel(int kind, int) {
     return std::unique_ptr<Kernel>(make_kernel_neon64(kind));
@@ -38,25 +38,27 @@ using Matrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowM
 using Vector = Eigen::VectorXd;
 
 /* The rows of y that were sampled. */
-std::vector<int> sampled_outputs(const double* measured, int outputs) {
+std::vector<int> sampled_outputs(const double *measured, int outputs) {
     std::vector<int> sampled;
     for (int j = 0; j < outputs; ++j) {
-        if (!std::isnan(measured[j])) sampled.push_back(j);
+        if (!std::isnan(measured[j]))
+            sampled.push_back(j);
     }
     return sampled;
 }
 
 /* Kalman filter of one row: x, P before -> after; writes the gain and the whitening of the row. */
 class RowUpdate {
-public:
+  public:
     RowUpdate(int states, int outputs) : states_(states), outputs_(outputs) {}
 
-    double operator()(const std::vector<int>& sampled, const double* measured,
-                      const Vector& predicted, const Matrix& slope, const Vector& variance,
-                      const Vector& mistiming, Vector& x, Matrix& p, double* gain, double* whitening,
-                      double* correction_variance) const {
+    double operator()(const std::vector<int> &sampled, const double *measured,
+                      const Vector &predicted, const Matrix &slope, const Vector &variance,
+                      const Vector &mistiming, Vector &x, Matrix &p, double *gain,
+                      double *whitening, double *correction_variance) const {
         const int m = static_cast<int>(sampled.size());
-        if (m == 0) return 0.0;
+        if (m == 0)
+            return 0.0;
         Matrix h(m, states_);
         Vector innovation(m);
         for (int a = 0; a < m; ++a) {
@@ -65,48 +67,56 @@ public:
         }
         const Matrix ph = p * h.transpose();
         Vector late(m);
-        for (int a = 0; a < m; ++a) late[a] = mistiming[sampled[a]];
+        for (int a = 0; a < m; ++a)
+            late[a] = mistiming[sampled[a]];
         Matrix s = h * ph + late * late.transpose();
-        for (int a = 0; a < m; ++a) s(a, a) += variance[sampled[a]];
+        for (int a = 0; a < m; ++a)
+            s(a, a) += variance[sampled[a]];
         const Eigen::LLT<Matrix> cholesky(s);
         const Matrix k = cholesky.solve(ph.transpose()).transpose();
         const Matrix w = cholesky.matrixL().solve(Matrix::Identity(m, m));
         const Matrix learned = k * ph.transpose();
-        for (int i = 0; i < states_; ++i) correction_variance[i] = learned(i, i);
+        for (int i = 0; i < states_; ++i)
+            correction_variance[i] = learned(i, i);
         x += k * innovation;
         p -= learned;
         p = (0.5 * (p + p.transpose())).eval();
         for (int a = 0; a < m; ++a) {
-            for (int i = 0; i < states_; ++i) gain[i * outputs_ + sampled[a]] = k(i, a);
-            for (int b = 0; b <= a; ++b) whitening[sampled[a] * outputs_ + sampled[b]] = w(a, b);
+            for (int i = 0; i < states_; ++i)
+                gain[i * outputs_ + sampled[a]] = k(i, a);
+            for (int b = 0; b <= a; ++b)
+                whitening[sampled[a] * outputs_ + sampled[b]] = w(a, b);
         }
         const Vector white = w * innovation;
         double log_determinant = 0.0;
-        for (int a = 0; a < m; ++a) log_determinant += std::log(w(a, a));
+        for (int a = 0; a < m; ++a)
+            log_determinant += std::log(w(a, a));
         return log_determinant - 0.5 * white.squaredNorm() - 0.5 * m * std::log(2.0 * M_PI);
     }
 
-private:
+  private:
     int states_, outputs_;
 };
 
 /* Runs `work(task)` for task = 0..count-1 on all cores; the first exception is thrown again. */
-void in_parallel(int count, const std::function<void(int)>& work) {
+void in_parallel(int count, const std::function<void(int)> &work) {
     std::atomic<int> next{0};
     const auto worker = [&] {
-        for (int task = next++; task < count; task = next++) work(task);
+        for (int task = next++; task < count; task = next++)
+            work(task);
     };
-    const int threads =
-        std::min<int>(count, std::max(1u, std::thread::hardware_concurrency()));
+    const int threads = std::min<int>(count, std::max(1u, std::thread::hardware_concurrency()));
     std::vector<std::thread> pool;
-    for (int i = 1; i < threads; ++i) pool.emplace_back(worker);
+    for (int i = 1; i < threads; ++i)
+        pool.emplace_back(worker);
     worker();
-    for (std::thread& thread : pool) thread.join();
+    for (std::thread &thread : pool)
+        thread.join();
 }
 
 /* One task = one recording and one lane group of parameter sets. */
 template <class Work>
-void for_each_group(const Kernel& kernel, int recordings, const ParameterSets& sets, Work&& work) {
+void for_each_group(const Kernel &kernel, int recordings, const ParameterSets &sets, Work &&work) {
     const int groups = (sets.count + kernel.lanes() - 1) / kernel.lanes();
     in_parallel(recordings * groups, [&](int task) {
         const int first = (task % groups) * kernel.lanes();
@@ -117,10 +127,11 @@ void for_each_group(const Kernel& kernel, int recordings, const ParameterSets& s
 
 }  // namespace
 
-Track track(const Kernel& kernel, const Recording& recording, const double* values,
-            const Noise& noise, double step_s, double window_s) {
+Track track(const Kernel &kernel, const Recording &recording, const double *values,
+            const Noise &noise, double step_s, double window_s, bool keep_linear) {
     const int n = kernel.states(), m = kernel.outputs();
     const std::size_t rows = static_cast<std::size_t>(recording.rows);
+    const std::shared_ptr<const void> loaded = kernel.load(values);
     Track result;
     result.gain.assign(rows * n * m, 0.0);
     result.whitening.assign(rows * m * m, 0.0);
@@ -128,6 +139,10 @@ Track track(const Kernel& kernel, const Recording& recording, const double* valu
     result.innovation.assign(rows * m, NAN);
     result.correction_variance.assign(rows * n, 0.0);
     result.replay_variance.assign(rows * m, 0.0);
+    if (keep_linear) {
+        result.transition.assign(rows * n * n, 0.0);
+        result.slope.assign(rows * m * n, 0.0);
+    }
     const Eigen::Map<const Vector> process(noise.process.data(), n);
     const Eigen::Map<const Vector> variance(noise.output.data(), m);
     Vector x = Eigen::Map<const Vector>(recording.initial_state.data(), n);
@@ -138,29 +153,34 @@ Track track(const Kernel& kernel, const Recording& recording, const double* valu
     Vector predicted(m), next(n), mistiming = Vector::Zero(m);
     const RowUpdate update(n, m);
     for (std::size_t k = 0; k < rows; ++k) {
-        const double* measured = &recording.output[k * m];
-        kernel.linearise_output(values, recording.time_s[k], x.data(), predicted.data(),
+        const double *measured = &recording.output[k * m];
+        kernel.linearise_output(loaded.get(), recording.time_s[k], x.data(), predicted.data(),
                                 slope.data());
+        if (keep_linear)
+            std::copy(slope.data(), slope.data() + m * n, &result.slope[k * m * n]);
         for (int j = 0; j < m; ++j) {
             result.innovation[k * m + j] = measured[j] - predicted[j];
             result.replay_variance[k * m + j] =
                 slope.row(j) * free * slope.row(j).transpose() + variance[j];
         }
         result.log_likelihood +=
-            update(sampled_outputs(measured, m), measured, predicted, slope, variance, mistiming, x, p,
-                   &result.gain[k * n * m], &result.whitening[k * m * m],
+            update(sampled_outputs(measured, m), measured, predicted, slope, variance, mistiming, x,
+                   p, &result.gain[k * n * m], &result.whitening[k * m * m],
                    &result.correction_variance[k * n]);
         std::copy(x.data(), x.data() + n, &result.state[k * n]);
         if (recording.time_s[k] >= restart_s) {
             free = p;
             restart_s += window_s;
         }
-        if (k + 1 == rows) break;
+        if (k + 1 == rows)
+            break;
         const double duration_s = recording.time_s[k + 1] - recording.time_s[k];
-        kernel.linearise(values, &recording.command[k * kernel.motors()], recording.time_s[k],
+        kernel.linearise(loaded.get(), &recording.command[k * kernel.motors()], recording.time_s[k],
                          duration_s, step_s, x.data(), next.data(), transition.data());
         mistiming = slope * (next - x) * (std::sqrt(noise.timing_s2) / duration_s);
         x = next;
+        if (keep_linear)
+            std::copy(transition.data(), transition.data() + n * n, &result.transition[k * n * n]);
         p = transition * p * transition.transpose();
         p.diagonal() += process * duration_s;
         free = transition * free * transition.transpose();
@@ -169,22 +189,33 @@ Track track(const Kernel& kernel, const Recording& recording, const double* valu
     return result;
 }
 
-void innovations(const Kernel& kernel, const std::vector<const Recording*>& recordings,
-                 const std::vector<const Track*>& tracks, const ParameterSets& sets, double step_s,
-                 const std::vector<double*>& residuals) {
+std::vector<Track> track_all(const Kernel &kernel, const std::vector<const Recording *> &recordings,
+                             const double *values, const Noise &noise, double step_s,
+                             double window_s, bool keep_linear) {
+    std::vector<Track> tracks(recordings.size());
+    in_parallel(static_cast<int>(recordings.size()), [&](int i) {
+        const std::size_t r = static_cast<std::size_t>(i);
+        tracks[r] = track(kernel, *recordings[r], values, noise, step_s, window_s, keep_linear);
+    });
+    return tracks;
+}
+
+void innovations(const Kernel &kernel, const std::vector<const Recording *> &recordings,
+                 const std::vector<const Track *> &tracks, const ParameterSets &sets, double step_s,
+                 const std::vector<double *> &residuals) {
     for_each_group(kernel, static_cast<int>(recordings.size()), sets,
-                   [&](int r, int first, int count, const double* values) {
+                   [&](int r, int first, int count, const double *values) {
                        const long plane = static_cast<long>(recordings[r]->rows) * kernel.outputs();
                        kernel.innovations(*recordings[r], *tracks[r], values, count, step_s,
                                           residuals[r] + first * plane);
                    });
 }
 
-void replays(const Kernel& kernel, const std::vector<const Recording*>& recordings,
-             const std::vector<const Track*>& tracks, const ParameterSets& sets, double step_s,
-             double window_s, const std::vector<double*>& errors) {
+void replays(const Kernel &kernel, const std::vector<const Recording *> &recordings,
+             const std::vector<const Track *> &tracks, const ParameterSets &sets, double step_s,
+             double window_s, const std::vector<double *> &errors) {
     for_each_group(kernel, static_cast<int>(recordings.size()), sets,
-                   [&](int r, int first, int count, const double* values) {
+                   [&](int r, int first, int count, const double *values) {
                        const long plane = static_cast<long>(recordings[r]->rows) * kernel.outputs();
                        kernel.replays(*recordings[r], *tracks[r], values, count, step_s, window_s,
                                       errors[r] + first * plane);

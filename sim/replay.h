@@ -7,11 +7,10 @@
  *                factor W_k with W_k S_k W_k' = I, S_k the covariance of the innovation; also the
  *                variance that the noise alone gives to a replay: its noise floor.
  *   innovations  the same filter for many parameter sets with K_k and W_k frozen: prediction errors
- *                whitened by W_k. Frozen gains make the residual a smooth function of the parameters
- *                and lose no information: for any gain the innovations are an invertible function
- *                of the measurements.
- *   replays      free-running simulation, restarted from the filtered state every `window_s`:
- *                measured minus simulated, the error a user of the simulator sees.
+ *                whitened by W_k. Frozen gains make the residual a smooth function of the
+ * parameters and lose no information: for any gain the innovations are an invertible function of
+ * the measurements. replays      free-running simulation, restarted from the filtered state every
+ * `window_s`: measured minus simulated, the error a user of the simulator sees.
  *
  * Parameter sets run in SIMD lanes and on all cores. Layouts are row major:
  * command [row][motor], output [row][output], gain [row][state][output],
@@ -43,60 +42,69 @@ struct Noise {
 
 struct Track {
     std::vector<double> gain, whitening;
-    std::vector<double> state;           /* [row][state] after the row's measurements */
-    std::vector<double> innovation;      /* [row][output], NaN where not sampled */
+    std::vector<double> state;               /* [row][state] after the row's measurements */
+    std::vector<double> innovation;          /* [row][output], NaN where not sampled */
     std::vector<double> correction_variance; /* [row][state] expected of gain * innovation */
-    std::vector<double> replay_variance; /* [row][output] expected of a replay's error */
+    std::vector<double> replay_variance;     /* [row][output] expected of a replay's error */
+    std::vector<double> transition;          /* [row][state][state] to the next row, if kept */
+    std::vector<double> slope;               /* [row][output][state], if kept */
     double log_likelihood = 0.0;
 };
 
 struct ParameterSets {
-    const double* values = nullptr; /* [count][size] */
+    const double *values = nullptr; /* [count][size] */
     int count = 0;
     int size = 0;
 };
 
 /* Parts that are compiled once per instruction set. */
 class Kernel {
-public:
+  public:
     virtual ~Kernel() = default;
     virtual int lanes() const = 0;
     virtual int states() const = 0;
     virtual int outputs() const = 0;
     virtual int motors() const = 0;
     virtual int parameters() const = 0;
-    virtual const char* instruction_set() const = 0;
-    /* next [states], transition [states][states] over one row; parameters of one set. */
-    virtual void linearise(const double* values, const double* command, double time_s,
-                           double duration_s, double step_s, const double* state, double* next,
-                           double* transition) const = 0;
+    virtual const char *instruction_set() const = 0;
+    /* One parameter set, made ready for the three functions below. */
+    virtual std::shared_ptr<const void> load(const double *values) const = 0;
+    /* next [states], transition [states][states] over one row. */
+    virtual void linearise(const void *loaded, const double *command, double time_s,
+                           double duration_s, double step_s, const double *state, double *next,
+                           double *transition) const = 0;
     /* output [outputs], slope [outputs][states]. */
-    virtual void linearise_output(const double* values, double time_s, const double* state,
-                                  double* output, double* slope) const = 0;
+    virtual void linearise_output(const void *loaded, double time_s, const double *state,
+                                  double *output, double *slope) const = 0;
     /* Derivatives of the states of one set at many points: states [points][states], commands
      * [points][motors], derivative [points][states]; time 0. */
-    virtual void derivatives(const double* values, int points, const double* states,
-                             const double* commands, double* derivative) const = 0;
+    virtual void derivatives(const void *loaded, int points, const double *states,
+                             const double *commands, double *derivative) const = 0;
     /* First `count` <= lanes() sets from `values` on; residuals [set][row][output]. */
-    virtual void innovations(const Recording& recording, const Track& track, const double* values,
-                             int count, double step_s, double* residuals) const = 0;
-    virtual void replays(const Recording& recording, const Track& track, const double* values,
-                         int count, double step_s, double window_s, double* errors) const = 0;
+    virtual void innovations(const Recording &recording, const Track &track, const double *values,
+                             int count, double step_s, double *residuals) const = 0;
+    virtual void replays(const Recording &recording, const Track &track, const double *values,
+                         int count, double step_s, double window_s, double *errors) const = 0;
 };
 
 /* Best kernel for this processor; kind 0 = robot, 1 = axis. `widest_lanes` bounds the width. */
 std::unique_ptr<Kernel> make_kernel(int kind, int widest_lanes);
 
-Track track(const Kernel& kernel, const Recording& recording, const double* values,
-            const Noise& noise, double step_s, double window_s);
+Track track(const Kernel &kernel, const Recording &recording, const double *values,
+            const Noise &noise, double step_s, double window_s, bool keep_linear);
+
+/* One filter per recording, on all cores. */
+std::vector<Track> track_all(const Kernel &kernel, const std::vector<const Recording *> &recordings,
+                             const double *values, const Noise &noise, double step_s,
+                             double window_s, bool keep_linear);
 
 /* All recordings, all sets: residuals[r] holds [set][row][output] of recording r. */
-void innovations(const Kernel& kernel, const std::vector<const Recording*>& recordings,
-                 const std::vector<const Track*>& tracks, const ParameterSets& sets, double step_s,
-                 const std::vector<double*>& residuals);
-void replays(const Kernel& kernel, const std::vector<const Recording*>& recordings,
-             const std::vector<const Track*>& tracks, const ParameterSets& sets, double step_s,
-             double window_s, const std::vector<double*>& errors);
+void innovations(const Kernel &kernel, const std::vector<const Recording *> &recordings,
+                 const std::vector<const Track *> &tracks, const ParameterSets &sets, double step_s,
+                 const std::vector<double *> &residuals);
+void replays(const Kernel &kernel, const std::vector<const Recording *> &recordings,
+             const std::vector<const Track *> &tracks, const ParameterSets &sets, double step_s,
+             double window_s, const std::vector<double *> &errors);
 
 }  // namespace omnislip
 

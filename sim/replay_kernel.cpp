@@ -15,9 +15,9 @@ namespace omnislip {
 namespace {
 
 template <class S>
-RobotInternals<S> internals_of(const RobotPlant<S>&);
+RobotInternals<S> internals_of(const RobotPlant<S> &);
 template <class S>
-AxisInternals<S> internals_of(const AxisPlant<S>&);
+AxisInternals<S> internals_of(const AxisPlant<S> &);
 
 template <template <class> class PlantOf, class Arch>
 class KernelOf final : public Kernel {
@@ -36,7 +36,7 @@ class KernelOf final : public Kernel {
         Plant plant;
         double rate_1_s;
 
-        Loaded(const double* values, int count, int size) {
+        Loaded(const double *values, int count, int size) {
             alignas(64) double spread[kLanes];
             bool active[kEffectCount] = {};
             for (int p = 0; p < size; ++p) {
@@ -52,12 +52,12 @@ class KernelOf final : public Kernel {
     };
 
     /* An effect runs when any lane holds another value than neutral. */
-    static void mark_active(const double* values, int count, int size, bool* active) {
+    static void mark_active(const double *values, int count, int size, bool *active) {
         for_each_effect(kMotors, [&](auto effect, int index, int slot) {
             using E = decltype(effect);
             const int stride = effect_stride(E::info, kMotors);
             for (int s = 0; s < count; ++s) {
-                const double* own = values + static_cast<long>(s) * size + Plant::kBase + slot;
+                const double *own = values + static_cast<long>(s) * size + Plant::kBase + slot;
                 for (int k = 0; k < E::info.parameter_count; ++k) {
                     for (int i = 0; i < stride; ++i) {
                         active[index] =
@@ -68,11 +68,12 @@ class KernelOf final : public Kernel {
         });
     }
 
-    static void broadcast(const double* from, S* to, int n) {
-        for (int i = 0; i < n; ++i) to[i] = S(from[i]);
+    static void broadcast(const double *from, S *to, int n) {
+        for (int i = 0; i < n; ++i)
+            to[i] = S(from[i]);
     }
 
-    static void correct(const double* gain, const S* innovation, S* x) {
+    static void correct(const double *gain, const S *innovation, S *x) {
         for (int i = 0; i < kStates; ++i) {
             S change = S(gain[i * kOutputs]) * innovation[0];
             for (int j = 1; j < kOutputs; ++j) {
@@ -83,8 +84,8 @@ class KernelOf final : public Kernel {
     }
 
     /* measured - predicted; 0 where nothing was measured. */
-    static void innovate(const Plant& plant, const double* measured, const S& time_s, const S* x,
-                         S* innovation) {
+    static void innovate(const Plant &plant, const double *measured, const S &time_s, const S *x,
+                         S *innovation) {
         plant.output(x, time_s, innovation);
         for (int j = 0; j < kOutputs; ++j) {
             const bool sampled = measured[j] == measured[j];
@@ -93,7 +94,7 @@ class KernelOf final : public Kernel {
     }
 
     /* Lane k of to[i] = from[k][i]; lanes beyond `count` repeat the last row. */
-    static void gather(const double* from, int count, int width, S* to) {
+    static void gather(const double *from, int count, int width, S *to) {
         alignas(64) double spread[kLanes];
         for (int i = 0; i < width; ++i) {
             for (int k = 0; k < kLanes; ++k) {
@@ -103,28 +104,47 @@ class KernelOf final : public Kernel {
         }
     }
 
-    static void scatter(const S* rows, int count, long plane, double* out) {
+    static void scatter(const S *rows, int count, long plane, double *out) {
         alignas(64) double spread[kLanes];
         for (int j = 0; j < kOutputs; ++j) {
             rows[j].store_aligned(spread);
-            for (int s = 0; s < count; ++s) out[s * plane + j] = spread[s];
+            for (int s = 0; s < count; ++s)
+                out[s * plane + j] = spread[s];
         }
     }
 
-    static int total_parameters() { return Plant::kBase + effect_slot_count(kMotors); }
+    static int total_parameters() {
+        return Plant::kBase + effect_slot_count(kMotors);
+    }
 
-public:
-    int lanes() const override { return kLanes; }
-    int states() const override { return kStates; }
-    int outputs() const override { return kOutputs; }
-    int motors() const override { return kMotors; }
-    int parameters() const override { return total_parameters(); }
-    const char* instruction_set() const override { return OMNISLIP_ARCH_NAME; }
+  public:
+    int lanes() const override {
+        return kLanes;
+    }
+    int states() const override {
+        return kStates;
+    }
+    int outputs() const override {
+        return kOutputs;
+    }
+    int motors() const override {
+        return kMotors;
+    }
+    int parameters() const override {
+        return total_parameters();
+    }
+    const char *instruction_set() const override {
+        return OMNISLIP_ARCH_NAME;
+    }
 
-    void linearise(const double* values, const double* command, double time_s, double duration_s,
-                   double step_s, const double* state, double* next,
-                   double* transition) const override {
-        const Loaded loaded(values, 1, total_parameters());
+    std::shared_ptr<const void> load(const double *values) const override {
+        return std::make_shared<const Loaded>(values, 1, total_parameters());
+    }
+
+    void linearise(const void *loaded_set, const double *command, double time_s, double duration_s,
+                   double step_s, const double *state, double *next,
+                   double *transition) const override {
+        const Loaded &loaded = *static_cast<const Loaded *>(loaded_set);
         const double probe = 1e-5;
         S held[kMotors];
         broadcast(command, held, kMotors);
@@ -142,9 +162,9 @@ public:
         }
     }
 
-    void linearise_output(const double* values, double time_s, const double* state, double* output,
-                          double* slope) const override {
-        const Loaded loaded(values, 1, total_parameters());
+    void linearise_output(const void *loaded_set, double time_s, const double *state,
+                          double *output, double *slope) const override {
+        const Loaded &loaded = *static_cast<const Loaded *>(loaded_set);
         const double probe = 1e-5;
         for (int first = 0; first < kStates; first += kLanes - 1) {
             S x[kStates], y[kOutputs];
@@ -159,9 +179,9 @@ public:
         }
     }
 
-    void derivatives(const double* values, int points, const double* states,
-                     const double* commands, double* derivative) const override {
-        const Loaded loaded(values, 1, total_parameters());
+    void derivatives(const void *loaded_set, int points, const double *states,
+                     const double *commands, double *derivative) const override {
+        const Loaded &loaded = *static_cast<const Loaded *>(loaded_set);
         S x[kStates], held[kMotors], driven[kMotors], dx[kStates];
         Internals in;
         for (int first = 0; first < points; first += kLanes) {
@@ -178,8 +198,8 @@ public:
         }
     }
 
-    void innovations(const Recording& recording, const Track& track, const double* values,
-                     int count, double step_s, double* residuals) const override {
+    void innovations(const Recording &recording, const Track &track, const double *values,
+                     int count, double step_s, double *residuals) const override {
         const Loaded loaded(values, count, total_parameters());
         const long plane = static_cast<long>(recording.rows) * kOutputs;
         S x[kStates], innovation[kOutputs], white[kOutputs], held[kMotors];
@@ -189,7 +209,7 @@ public:
             const double t = recording.time_s[k];
             innovate(loaded.plant, &recording.output[k * kOutputs], S(t), x, innovation);
             correct(&track.gain[k * kStates * kOutputs], innovation, x);
-            const double* w = &track.whitening[k * kOutputs * kOutputs];
+            const double *w = &track.whitening[k * kOutputs * kOutputs];
             for (int i = 0; i < kOutputs; ++i) {
                 white[i] = S(0.0);
                 for (int j = 0; j <= i; ++j) {
@@ -197,15 +217,16 @@ public:
                 }
             }
             scatter(white, count, plane, residuals + k * kOutputs);
-            if (k + 1 == recording.rows) break;
+            if (k + 1 == recording.rows)
+                break;
             broadcast(&recording.command[k * kMotors], held, kMotors);
-            advance(loaded.plant, x, held, t, recording.time_s[k + 1] - t, step_s,
-                    loaded.rate_1_s, in);
+            advance(loaded.plant, x, held, t, recording.time_s[k + 1] - t, step_s, loaded.rate_1_s,
+                    in);
         }
     }
 
-    void replays(const Recording& recording, const Track& track, const double* values, int count,
-                 double step_s, double window_s, double* errors) const override {
+    void replays(const Recording &recording, const Track &track, const double *values, int count,
+                 double step_s, double window_s, double *errors) const override {
         const Loaded loaded(values, count, total_parameters());
         const long plane = static_cast<long>(recording.rows) * kOutputs;
         S filtered[kStates], free[kStates], innovation[kOutputs], error[kOutputs], held[kMotors];
@@ -215,16 +236,18 @@ public:
         broadcast(recording.initial_state.data(), free, kStates);
         for (long k = 0; k < recording.rows; ++k) {
             const double t = recording.time_s[k];
-            const double* measured = &recording.output[k * kOutputs];
+            const double *measured = &recording.output[k * kOutputs];
             innovate(loaded.plant, measured, S(t), free, error);
             scatter(error, count, plane, errors + k * kOutputs);
             innovate(loaded.plant, measured, S(t), filtered, innovation);
             correct(&track.gain[k * kStates * kOutputs], innovation, filtered);
             if (t >= restart_s) {
-                for (int i = 0; i < kStates; ++i) free[i] = filtered[i];
+                for (int i = 0; i < kStates; ++i)
+                    free[i] = filtered[i];
                 restart_s += window_s;
             }
-            if (k + 1 == recording.rows) break;
+            if (k + 1 == recording.rows)
+                break;
             broadcast(&recording.command[k * kMotors], held, kMotors);
             const double duration_s = recording.time_s[k + 1] - t;
             advance(loaded.plant, filtered, held, t, duration_s, step_s, loaded.rate_1_s, in);
@@ -232,9 +255,9 @@ public:
         }
     }
 
-private:
+  private:
     /* Lane 0 holds the state, lane j + 1 the state with component first + j moved by `probe`. */
-    static void seed(const double* state, int first, double probe, S* x) {
+    static void seed(const double *state, int first, double probe, S *x) {
         alignas(64) double spread[kLanes];
         for (int i = 0; i < kStates; ++i) {
             for (int j = 0; j < kLanes; ++j) {
@@ -250,9 +273,10 @@ private:
 #define OMNISLIP_JOIN2(a, b) a##b
 #define OMNISLIP_JOIN(a, b) OMNISLIP_JOIN2(a, b)
 
-Kernel* OMNISLIP_JOIN(make_kernel_, OMNISLIP_ARCH)(int kind) {
+Kernel *OMNISLIP_JOIN(make_kernel_, OMNISLIP_ARCH)(int kind) {
     using Arch = xsimd::OMNISLIP_ARCH;
-    if (kind == 0) return new KernelOf<RobotPlant, Arch>();
+    if (kind == 0)
+        return new KernelOf<RobotPlant, Arch>();
     return new KernelOf<AxisPlant, Arch>();
 }
 

@@ -15,8 +15,8 @@
  *
  *   (A + G' J0 G) V' + G' (b0 + k2 k3 / Ra) G V + m w (-vy, vx, 0) = G' (k2 / Ra) u      (10)
  *
- * For equal wheels that is n^2 J0 / R^2 J'J, n^2 / R^2 (b0 + k2 k3 / Ra) J'J and k2 n / (Ra R) J' u.
- * The paper prints n for n^2, a rotation T in front of H = J' and m for Iz: see sim/README.md.
+ * For equal wheels that is n^2 J0 / R^2 J'J, n^2 / R^2 (b0 + k2 k3 / Ra) J'J and k2 n / (Ra R) J'
+ * u. The paper prints n for n^2, a rotation T in front of H = J' and m for Iz: see sim/README.md.
  * The rotors' inertia is in V', not in the velocity product: only the body's momentum turns with
  * the frame. Rollers are free; the centre of gravity is the centre of the wheels.
  */
@@ -130,10 +130,9 @@ class RigidModel {
         for (int i = 0; i < kMotors; ++i) {
             const double speed = in.shaft_speed_rad_s[i];
             in.current_a[i] = (u[i] - c_.back_emf_constant_v_s_rad[i] * speed) / c_.resistance_ohm;
-            in.traction_n[i] =
-                gear_1_m_[i] * (c_.torque_constant_nm_a[i] * in.current_a[i] -
-                                c_.viscous_friction_nm_s[i] * speed -
-                                c_.shaft_inertia_kg_m2[i] * shaft_change_rad_s2[i]);
+            in.traction_n[i] = gear_1_m_[i] * (c_.torque_constant_nm_a[i] * in.current_a[i] -
+                                               c_.viscous_friction_nm_s[i] * speed -
+                                               c_.shaft_inertia_kg_m2[i] * shaft_change_rad_s2[i]);
         }
     }
 

@@ -29,8 +29,8 @@
 namespace omnislip {
 
 struct BaseParameter {
-    const char* name;
-    const char* unit;
+    const char *name;
+    const char *unit;
     double value;
 };
 
@@ -79,16 +79,18 @@ struct RobotInternals {
 
 template <class S>
 class RobotPlant : public RobotLayout {
-public:
+  public:
     /* `flat`: base parameters, then effect slots; `active`: one flag per effect. */
-    void prepare(const S* flat, const bool* active) {
+    void prepare(const S *flat, const bool *active) {
         effects_ = flat + kBase;
         hooks_ = 0;
-        for (int i = 0; i < kEffectCount; ++i) active_[i] = active[i];
+        for (int i = 0; i < kEffectCount; ++i)
+            active_[i] = active[i];
         load_base(flat);
         for_each_effect(kMotors, [&](auto effect, int index, int slot) {
             using E = decltype(effect);
-            if (!active_[index]) return;
+            if (!active_[index])
+                return;
             hooks_ |= E::info.hooks;
             E::prepare(c_, values<E>(slot));
         });
@@ -96,24 +98,26 @@ public:
     }
 
     /* Duty as it leaves the driver, once per interval of constant duty. */
-    void command(const S* duty, S* driven) const {
+    void command(const S *duty, S *driven) const {
         CommandTerm<S, 4> term;
-        for (int i = 0; i < 4; ++i) term.duty[i] = duty[i];
+        for (int i = 0; i < 4; ++i)
+            term.duty[i] = duty[i];
         apply(kCommand, [&](auto effect, int slot) {
             using E = decltype(effect);
             E::command(term, values<E>(slot));
         });
-        for (int i = 0; i < 4; ++i) driven[i] = term.duty[i];
+        for (int i = 0; i < 4; ++i)
+            driven[i] = term.duty[i];
     }
 
-    void derivative(const S* x, const S* driven, const S& time_s, S* dx,
-                    RobotInternals<S>& in) const {
+    void derivative(const S *x, const S *driven, const S &time_s, S *dx,
+                    RobotInternals<S> &in) const {
         using std::cos;
         using std::sin;
-        const S* speed = x + kSpeed;
-        const S& vx = x[kVelocity];
-        const S& vy = x[kVelocity + 1];
-        const S& omega = x[kVelocity + 2];
+        const S *speed = x + kSpeed;
+        const S &vx = x[kVelocity];
+        const S &vy = x[kVelocity + 1];
+        const S &omega = x[kVelocity + 2];
         const S cos_theta = cos(x[kPose + 2]);
         const S sin_theta = sin(x[kPose + 2]);
 
@@ -130,18 +134,21 @@ public:
             dx[kSpeed + i] = torque / c_.shaft_inertia_kg_m2[i];
             dx[kAngle + i] = speed[i];
         }
-        if (hooks_ & kSensor) scale_encoders(x, time_s, dx);
+        if (hooks_ & kSensor)
+            scale_encoders(x, time_s, dx);
         dx[kPose] = cos_theta * vx - sin_theta * vy;
         dx[kPose + 1] = sin_theta * vx + cos_theta * vy;
         dx[kPose + 2] = omega;
     }
 
     /* What the sensors show in state x: encoder angles [rad], gyro [rad/s], camera pose. */
-    void output(const S* x, const S& time_s, S* y) const {
-        for (int i = 0; i < 4; ++i) y[i] = x[kAngle + i];
+    void output(const S *x, const S &time_s, S *y) const {
+        for (int i = 0; i < 4; ++i)
+            y[i] = x[kAngle + i];
         if (!(hooks_ & kSensor)) {
             y[4] = x[kVelocity + 2];
-            for (int i = 0; i < 3; ++i) y[5 + i] = x[kPose + i];
+            for (int i = 0; i < 3; ++i)
+                y[5 + i] = x[kPose + i];
             return;
         }
         const SensorTerm<S, 4> term = sensors(x, time_s);
@@ -167,13 +174,16 @@ public:
             rate = max(rate, shaft / c_.shaft_inertia_kg_m2[i] + body);
         }
         double worst = 0.0;
-        for (int i = 0; i < LaneCount<S>::value; ++i) worst = std::max(worst, lane(rate, i));
+        for (int i = 0; i < LaneCount<S>::value; ++i)
+            worst = std::max(worst, lane(rate, i));
         return worst;
     }
 
-    const Constants<S, 4>& constants() const { return c_; }
+    const Constants<S, 4> &constants() const {
+        return c_;
+    }
 
-private:
+  private:
     template <class E>
     Values<S> values(int slot) const {
         return {effects_ + slot, effect_stride(E::info, kMotors)};
@@ -181,14 +191,16 @@ private:
 
     /* `action(effect, slot)` for the active effects that use `hook`. */
     template <class Action>
-    void apply(unsigned hook, Action&& action) const {
-        if (!(hooks_ & hook)) return;
+    void apply(unsigned hook, Action &&action) const {
+        if (!(hooks_ & hook))
+            return;
         for_each_effect(kMotors, [&](auto effect, int index, int slot) {
-            if ((decltype(effect)::info.hooks & hook) && active_[index]) action(effect, slot);
+            if ((decltype(effect)::info.hooks & hook) && active_[index])
+                action(effect, slot);
         });
     }
 
-    void load_base(const S* p) {
+    void load_base(const S *p) {
         c_.mass_kg = p[0];
         c_.inertia_kg_m2 = p[1];
         c_.wheel_distance_m = p[3];
@@ -233,8 +245,9 @@ private:
         for (int i = 0; i < 4; ++i) {
             leg_x_[i] = wheel_x_[i] / sum_xx;
             leg_y_[i] = wheel_y_[i] / sum_yy;
-            static_load_n_[i] = weight * (S(0.25) + leg_x_[i] * c_.cog_x_m + leg_y_[i] * c_.cog_y_m) +
-                                c_.load_bias_n[i];
+            static_load_n_[i] =
+                weight * (S(0.25) + leg_x_[i] * c_.cog_x_m + leg_y_[i] * c_.cog_y_m) +
+                c_.load_bias_n[i];
             shaft_damping_[i] = S(0.0);
         }
         estimate_shaft_damping();
@@ -246,7 +259,8 @@ private:
 
     /* Slope of the effects' shaft torques at standstill: the stiffness of smoothed dry friction. */
     void estimate_shaft_damping() {
-        if (!(hooks_ & kShaft)) return;
+        if (!(hooks_ & kShaft))
+            return;
         const S probe = S(1e-3) * c_.friction_speed;
         S speed[4], angle[4], torque[4];
         for (int i = 0; i < 4; ++i) {
@@ -255,16 +269,16 @@ private:
             torque[i] = c_.torque_constant_nm_a[i] * c_.supply_v / c_.resistance_ohm;
         }
         ShaftTerm<S, 4> at_rest = friction(speed, angle, torque);
-        for (int i = 0; i < 4; ++i) speed[i] = S(0.0);
+        for (int i = 0; i < 4; ++i)
+            speed[i] = S(0.0);
         const ShaftTerm<S, 4> at_zero = friction(speed, angle, torque);
         using std::max;
         for (int i = 0; i < 4; ++i) {
-            shaft_damping_[i] =
-                max((at_zero.torque_nm[i] - at_rest.torque_nm[i]) / probe, S(0.0));
+            shaft_damping_[i] = max((at_zero.torque_nm[i] - at_rest.torque_nm[i]) / probe, S(0.0));
         }
     }
 
-    ShaftTerm<S, 4> friction(const S* speed, const S* angle, const S* motor_torque) const {
+    ShaftTerm<S, 4> friction(const S *speed, const S *angle, const S *motor_torque) const {
         using std::tanh;
         ShaftTerm<S, 4> term;
         term.speed_rad_s = speed;
@@ -282,8 +296,8 @@ private:
     }
 
     /* Bus voltage, currents (8) and shaft torques (7). */
-    void motor(const S* x, const S* driven, const S& time_s, RobotInternals<S>& in) const {
-        const S* speed = x + kSpeed;
+    void motor(const S *x, const S *driven, const S &time_s, RobotInternals<S> &in) const {
+        const S *speed = x + kSpeed;
         SupplyTerm<S> supply{c_.supply_v, time_s};
         apply(kSupply, [&](auto effect, int slot) {
             using E = decltype(effect);
@@ -303,10 +317,11 @@ private:
     }
 
     /* V = V0 - r sum(i d) with i linear in V has a closed form. A limit or a freewheeling driver
-     * bends i(V): then the currents that flow replace the linear ones and V follows, three passes. */
-    void balance_bus(const S* speed, const S* driven, const S& open_circuit_v,
-                     RobotInternals<S>& in) const {
-        const S& r = c_.source_resistance_ohm;
+     * bends i(V): then the currents that flow replace the linear ones and V follows, three passes.
+     */
+    void balance_bus(const S *speed, const S *driven, const S &open_circuit_v,
+                     RobotInternals<S> &in) const {
+        const S &r = c_.source_resistance_ohm;
         S conductance = S(0.0), emf_current = S(0.0);
         for (int i = 0; i < 4; ++i) {
             conductance = conductance + driven[i] * driven[i] / c_.resistance_ohm;
@@ -315,49 +330,54 @@ private:
         }
         in.bus_v = (open_circuit_v + r * emf_current) / (S(1.0) + r * conductance);
         armature(speed, driven, in);
-        if (!(hooks_ & kCurrent)) return;
+        if (!(hooks_ & kCurrent))
+            return;
         S linear[4];
         for (int pass = 0;; ++pass) {
             S shortfall = S(0.0);
-            for (int i = 0; i < 4; ++i) linear[i] = in.current_a[i];
+            for (int i = 0; i < 4; ++i)
+                linear[i] = in.current_a[i];
             limit_currents(speed, driven, in);
-            if (pass == 3) return;
+            if (pass == 3)
+                return;
             for (int i = 0; i < 4; ++i) {
                 shortfall = shortfall + (linear[i] - in.current_a[i]) * driven[i];
             }
-            in.bus_v = (open_circuit_v + r * (emf_current + shortfall)) / (S(1.0) + r * conductance);
+            in.bus_v =
+                (open_circuit_v + r * (emf_current + shortfall)) / (S(1.0) + r * conductance);
             armature(speed, driven, in);
         }
     }
 
-    void armature(const S* speed, const S* driven, RobotInternals<S>& in) const {
+    void armature(const S *speed, const S *driven, RobotInternals<S> &in) const {
         for (int i = 0; i < 4; ++i) {
-            in.current_a[i] =
-                (driven[i] * in.bus_v - c_.back_emf_constant_v_s_rad[i] * speed[i]) /
-                c_.resistance_ohm;
+            in.current_a[i] = (driven[i] * in.bus_v - c_.back_emf_constant_v_s_rad[i] * speed[i]) /
+                              c_.resistance_ohm;
         }
     }
 
-    void limit_currents(const S* speed, const S* driven, RobotInternals<S>& in) const {
+    void limit_currents(const S *speed, const S *driven, RobotInternals<S> &in) const {
         CurrentTerm<S, 4> term;
         term.duty = driven;
         term.speed_rad_s = speed;
-        for (int i = 0; i < 4; ++i) term.current_a[i] = in.current_a[i];
+        for (int i = 0; i < 4; ++i)
+            term.current_a[i] = in.current_a[i];
         apply(kCurrent, [&](auto effect, int slot) {
             using E = decltype(effect);
             E::current(term, values<E>(slot));
         });
-        for (int i = 0; i < 4; ++i) in.current_a[i] = term.current_a[i];
+        for (int i = 0; i < 4; ++i)
+            in.current_a[i] = term.current_a[i];
     }
 
     /* Slip and friction law (11)-(13), per unit of wheel load. */
-    void contact(const S* x, const S& time_s, RobotInternals<S>& in, S* traction_per_load,
-                 S* radius_m) const {
+    void contact(const S *x, const S &time_s, RobotInternals<S> &in, S *traction_per_load,
+                 S *radius_m) const {
         using std::atan;
-        const S& vx = x[kVelocity];
-        const S& vy = x[kVelocity + 1];
-        const S& omega = x[kVelocity + 2];
-        const S& k = c_.slip_stiffness_s_m;
+        const S &vx = x[kVelocity];
+        const S &vy = x[kVelocity + 1];
+        const S &omega = x[kVelocity + 2];
+        const S &k = c_.slip_stiffness_s_m;
         S mu[4], shape[4], roller_shape[4], force_scale[4];
         for (int i = 0; i < 4; ++i) {
             radius_m[i] = c_.wheel_radius_m[i];
@@ -381,8 +401,8 @@ private:
         }
     }
 
-    void contact_effects(const S* x, const S& time_s, RobotInternals<S>& in, S* mu, S* radius_m,
-                         S* shape, S* roller_shape, S* force_scale) const {
+    void contact_effects(const S *x, const S &time_s, RobotInternals<S> &in, S *mu, S *radius_m,
+                         S *shape, S *roller_shape, S *force_scale) const {
         using std::atan;
         ContactTerm<S, 4> term;
         term.shaft_angle_rad = x + kAngle;
@@ -394,8 +414,8 @@ private:
             term.mu_drive[i] = mu[i];
             term.radius_m[i] = radius_m[i];
             term.force_scale[i] = force_scale[i];
-            term.drive_direction_rad[i] = x[kPose + 2] + c_.wheel_angle_rad[i] +
-                                          c_.roller_angle_offset_rad[i] + S(kPi / 2.0);
+            term.drive_direction_rad[i] =
+                x[kPose + 2] + c_.wheel_angle_rad[i] + c_.roller_angle_offset_rad[i] + S(kPi / 2.0);
             term.slip_m_s[i] = radius_m[i] * x[kSpeed + i] / c_.gear_ratio - in.hub_speed_m_s[i];
         }
         eccentric_radius(term);
@@ -424,7 +444,7 @@ private:
     }
 
     /* The radius has to be known before the slip, the other contact effects need the slip. */
-    void eccentric_radius(ContactTerm<S, 4>& term) const {
+    void eccentric_radius(ContactTerm<S, 4> &term) const {
         apply(kContact, [&](auto effect, int slot) {
             using E = decltype(effect);
             if constexpr (std::is_same<E, WheelEccentricity>::value) {
@@ -434,14 +454,17 @@ private:
     }
 
     /* Forces from outside at the centre of gravity, and rolling resistance per load. */
-    BodyTerm<S, 4> outside(const S* x, const S& cos_theta, const S& sin_theta,
-                           const RobotInternals<S>& in) const {
+    BodyTerm<S, 4> outside(const S *x, const S &cos_theta, const S &sin_theta,
+                           const RobotInternals<S> &in) const {
         BodyTerm<S, 4> term;
         term.force_x_n = term.force_y_n = term.torque_nm = S(0.0);
         term.acceleration_x_m_s2 = term.acceleration_y_m_s2 = S(0.0);
-        for (int i = 0; i < 4; ++i) term.force_along_drive_per_load[i] = S(0.0);
-        if (!(hooks_ & kBody)) return term;
-        for (int i = 0; i < 4; ++i) term.hub_speed_m_s[i] = in.hub_speed_m_s[i];
+        for (int i = 0; i < 4; ++i)
+            term.force_along_drive_per_load[i] = S(0.0);
+        if (!(hooks_ & kBody))
+            return term;
+        for (int i = 0; i < 4; ++i)
+            term.hub_speed_m_s[i] = in.hub_speed_m_s[i];
         term.vx_m_s = x[kVelocity];
         term.vy_m_s = x[kVelocity + 1];
         term.omega_rad_s = x[kVelocity + 2];
@@ -453,22 +476,23 @@ private:
             using E = decltype(effect);
             E::body(term, values<E>(slot));
         });
-        const S& ax = term.acceleration_x_m_s2;
-        const S& ay = term.acceleration_y_m_s2;
+        const S &ax = term.acceleration_x_m_s2;
+        const S &ay = term.acceleration_y_m_s2;
         term.force_x_n = term.force_x_n + c_.mass_kg * (cos_theta * ax + sin_theta * ay);
         term.force_y_n = term.force_y_n + c_.mass_kg * (cos_theta * ay - sin_theta * ax);
         return term;
     }
 
     /* Wheel loads, contact forces and the body's acceleration (4). */
-    void body(const S* x, RobotInternals<S>& in, const S* traction_per_load,
-              const BodyTerm<S, 4>& external, S* dx) const {
+    void body(const S *x, RobotInternals<S> &in, const S *traction_per_load,
+              const BodyTerm<S, 4> &external, S *dx) const {
         S along[4];
         for (int i = 0; i < 4; ++i) {
             along[i] = traction_per_load[i] + external.force_along_drive_per_load[i];
             in.load_n[i] = static_load_n_[i];
         }
-        if (load_moves_) transfer_load(in, along, external);
+        if (load_moves_)
+            transfer_load(in, along, external);
         S fx = S(0.0), fy = S(0.0), moment = S(0.0);
         for (int i = 0; i < 4; ++i) {
             const S drive = in.load_n[i] * along[i];
@@ -485,11 +509,11 @@ private:
         in.external_force_y_n = external.force_y_n;
         in.external_torque_nm = external.torque_nm;
 
-        const S& omega = x[kVelocity + 2];
+        const S &omega = x[kVelocity + 2];
         const S alpha = moment / c_.inertia_kg_m2;
         const S omega2 = omega * omega;
-        dx[kVelocity] = fx / c_.mass_kg + alpha * c_.cog_y_m + omega2 * c_.cog_x_m +
-                        omega * x[kVelocity + 1];
+        dx[kVelocity] =
+            fx / c_.mass_kg + alpha * c_.cog_y_m + omega2 * c_.cog_x_m + omega * x[kVelocity + 1];
         dx[kVelocity + 1] =
             fy / c_.mass_kg - alpha * c_.cog_x_m + omega2 * c_.cog_y_m - omega * x[kVelocity];
         dx[kVelocity + 2] = alpha;
@@ -497,9 +521,9 @@ private:
 
     /* N = N0 - m h (leg_x ax + leg_y ay) with m a = F_ext + sum(N_i g_i), solved for a (2 x 2). The
      * gravity-like part of F_ext (a slope) does not move load: it acts on the whole weight. */
-    void transfer_load(RobotInternals<S>& in, const S* along,
-                       const BodyTerm<S, 4>& external) const {
-        const S& h = c_.cog_height_m;
+    void transfer_load(RobotInternals<S> &in, const S *along,
+                       const BodyTerm<S, 4> &external) const {
+        const S &h = c_.cog_height_m;
         S fx = external.force_x_n, fy = external.force_y_n;
         S axx = S(1.0), axy = S(0.0), ayx = S(0.0), ayy = S(1.0);
         for (int i = 0; i < 4; ++i) {
@@ -520,7 +544,7 @@ private:
         }
     }
 
-    SensorTerm<S, 4> sensors(const S* x, const S& time_s) const {
+    SensorTerm<S, 4> sensors(const S *x, const S &time_s) const {
         using std::cos;
         using std::sin;
         SensorTerm<S, 4> term;
@@ -535,7 +559,8 @@ private:
         term.omega_rad_s = x[kVelocity + 2];
         term.time_s = time_s;
         term.speed_rad_s = x + kSpeed;
-        for (int i = 0; i < 4; ++i) term.encoder_rate[i] = S(1.0);
+        for (int i = 0; i < 4; ++i)
+            term.encoder_rate[i] = S(1.0);
         apply(kSensor, [&](auto effect, int slot) {
             using E = decltype(effect);
             E::sensor(term, values<E>(slot));
@@ -543,15 +568,16 @@ private:
         return term;
     }
 
-    void scale_encoders(const S* x, const S& time_s, S* dx) const {
+    void scale_encoders(const S *x, const S &time_s, S *dx) const {
         const SensorTerm<S, 4> term = sensors(x, time_s);
-        for (int i = 0; i < 4; ++i) dx[kAngle + i] = dx[kAngle + i] * term.encoder_rate[i];
+        for (int i = 0; i < 4; ++i)
+            dx[kAngle + i] = dx[kAngle + i] * term.encoder_rate[i];
     }
 
     Constants<S, 4> c_;
     S wheel_x_[4], wheel_y_[4], leg_x_[4], leg_y_[4], static_load_n_[4], shaft_damping_[4];
     S drive_x_[4], drive_y_[4], drive_lever_[4], roller_lever_[4];
-    const S* effects_ = nullptr;
+    const S *effects_ = nullptr;
     bool active_[kEffectCount] = {};
     unsigned hooks_ = 0;
     bool load_moves_ = false;

@@ -1,4 +1,5 @@
-/* Each line of the table of errata in sim/README.md: the corrected form holds, the printed does not.
+/* Each line of the table of errata in sim/README.md: the corrected form holds, the printed does
+ * not.
  *
  * The rigid model is code of its own (matrices), the slip plant another (wheel by wheel). Where a
  * term is in both, both are asked.
@@ -28,7 +29,7 @@ static void assert_zero(double bound, const Eigen::MatrixXd &m) {
 
 static void set_velocity(Robot &robot, const Vector3d &v) {
     for (int i = 0; i < 3; ++i) {
-        robot.x[static_cast<std::size_t>(Robot::State().size() - 6 + i)] = v[i];
+        robot.x[static_cast<std::size_t>(RobotLayout::kVelocity + i)] = v[i];
     }
 }
 
@@ -69,8 +70,8 @@ static void null_space_is_the_alternating_vector(void) {
     const Vector4d n = Eigen::Map<const Vector4d>(kNull);
     const WheelMap j = rigid_of(Robot()).jacobian();
     assert_zero(1e-15, j.transpose() * n);
-    assert_zero(1e-14, n * n.transpose() / 4.0 -
-                           (Eigen::Matrix4d::Identity() - j * pseudo_inverse(j)));
+    assert_zero(1e-14,
+                n * n.transpose() / 4.0 - (Eigen::Matrix4d::Identity() - j * pseudo_inverse(j)));
 }
 
 /* ---- (4) Iz in A ---- */
@@ -134,8 +135,8 @@ static void traction_maps_to_the_body_by_the_transposed_jacobian(void) {
     rigid.derivative(x, u, 0.0, dx, in);
     const Vector3d v(x), change(dx);
     const Vector3d momentum = Vector3d(20.0, 20.0, 0.55).cwiseProduct(change);
-    assert_zero(1e-12, momentum + rigid.velocity_product(v) -
-                           rigid.jacobian().transpose() * in.traction_n);
+    assert_zero(
+        1e-12, momentum + rigid.velocity_product(v) - rigid.jacobian().transpose() * in.traction_n);
 }
 
 /* Every wheel pushes in turn: the body feels row i of J, lever L included. */
@@ -156,9 +157,7 @@ static void plant_force_of_one_wheel_is_a_column_of_h(void) {
 /* Largest difference of the body velocity from the rigid model over 0.4 s; k mu of the contact
  * times `stiffer`, rollers free. */
 static double distance_from_rigid(double stiffer) {
-    Robot robot(RobotModel()
-                    .set("contact.mu_drive", 0.6 * stiffer)
-                    .set("contact.mu_roller", 0.0));
+    Robot robot(RobotModel().set("contact.mu_drive", 0.6 * stiffer).set("contact.mu_roller", 0.0));
     const RigidModel rigid = rigid_of(robot);
     double x[6] = {}, worst = 0.0;
     const double voltage_v[2][4] = {{12.0, -6.0, 3.0, 9.0}, {-4.0, 8.0, 11.0, -2.0}};
@@ -181,8 +180,8 @@ static void slip_plant_tends_to_the_rigid_model_as_grip_grows(void) {
     TEST_ASSERT_DOUBLE_WITHIN(0.5, 10.0, near / nearer);
 }
 
-/* Straight ahead, steady: rim speed = (R/n) k2 u / (k2 k3 + b0 Ra); with n printed for n^2 the
- * right side alone keeps its n and the speed would be n times that. */
+/* Straight ahead, steady: rim speed = (R/n) k2 u / (k2 k3 + b0 Ra); n printed for n^2 on the left
+ * would make it n times that. */
 static void steady_speed_is_that_of_the_gear(void) {
     const Robot robot;
     const RigidModel rigid = rigid_of(robot);

@@ -322,8 +322,8 @@ def _read_wheel(value: object, entry: dict[str, Any], wheel_count: int, path: Pa
         if scope == "single":
             raise InputError(f"{path}: effect '{name}' acts on one wheel; add wheel = 1 to 4")
         return None
-    if scope in ("whole", "common"):
-        raise InputError(f"{path}: effect '{name}' does not act on one wheel; remove 'wheel'")
+    if scope == "whole":
+        raise InputError(f"{path}: effect '{name}' acts on the whole machine; remove 'wheel'")
     if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= wheel_count:
         raise InputError(f"{path}: 'effects.{name}.wheel' must be 1 to {wheel_count}, not {value}")
     return value

@@ -1,8 +1,8 @@
-"""`omnislip gap benchmark`: hide effects with the independent truth generator, see what is found."""
+"""`omnislip gap benchmark`: hide effects with the independent generator, see what is found."""
 
 import json
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -102,6 +102,6 @@ def _size_error(truth: dict[str, Any], found: dict[str, Any]) -> float | None:
     return max(errors) if errors else None
 
 
-def _in_floors(channels: Any, model: str) -> float:
+def _in_floors(channels: Collection[dict[str, float]], model: str) -> float:
     ratios = [(c[model] / c["noise_floor"]) ** 2 for c in channels if c["noise_floor"] > 0]
     return float(np.sqrt(np.mean(ratios)))

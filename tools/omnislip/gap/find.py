@@ -4,6 +4,7 @@ import hashlib
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +14,9 @@ import numpy.typing as npt
 from omnislip.errors import InputError
 from omnislip.files import write_text
 from omnislip.gap.inference import prior_penalty
+from omnislip.gap.inverse import relative_force_error
 from omnislip.gap.machine import Candidate, Machine
-from omnislip.gap.metrics import GapTable, Replays, gap_table, replay_all
+from omnislip.gap.metrics import GapTable, Replays, channel_rmse, gap_table, replay_all
 from omnislip.gap.recordings import Run, make_run
 from omnislip.gap.search import Outcome, Selected, search
 from omnislip.gap.where import Map, Place, describe, map_gap
@@ -25,6 +27,9 @@ Array = npt.NDArray[np.float64]
 
 SCHEMA = "omnislip-gap/1"
 RUNS_TO_HOLD_OUT_WHOLE = 5
+UNKNOWN_SHARE = 0.2
+"""A leftover term that gains more than this share of the named effects makes the verdict unknown:
+the names are right in place perhaps, but wrong in shape."""
 LEAST_TIME_S = 3.0
 LEAST_TRAVEL = 20.0
 """Motion, in steps of the position sensor, below which nothing can be learned."""
@@ -42,6 +47,15 @@ class Split:
 
 
 @dataclass(frozen=True)
+class Step:
+    """One model of the ladder: RMSE of replays on held-out runs; for an axis the force error."""
+
+    name: str
+    rmse: dict[str, float]
+    force_error: dict[str, float]
+
+
+@dataclass(frozen=True)
 class Findings:
     """Everything `gap find` found out; the report and gap.json are written from it."""
 
@@ -54,6 +68,7 @@ class Findings:
     places: list[Place]
     gap_map: Map | None
     table: GapTable | None
+    steps: list[Step]
     replays: list[Replays]
     inputs: dict[str, str]
     """File name -> SHA-256 of the model and the logs."""
@@ -75,16 +90,17 @@ def find_gap(
     outcome = search(machine, split.fitting, split.validation, progress)
     progress("replaying the held-out runs")
     believed = machine.believed
-    refit = outcome.base.hypothesis.flat(believed)
-    after = outcome.final.hypothesis.flat(believed)
+    rungs = [fitted.hypothesis.flat(believed) for fitted in outcome.ladder]
+    refit, after = rungs[0], rungs[-1]
     replays = replay_all(machine, split.held_out, outcome.data.noise, [believed, refit, after])
     table = gap_table(replays)
     fitted = [*split.fitting, *split.validation]
+    steps = _steps(machine, outcome, fitted, split.held_out, [believed, *rungs])
     gap_map = map_gap(
         machine, fitted, outcome.data.noise, refit, after if outcome.selected else None
     )
     places = describe(fitted, gap_map) if outcome.selected else []
-    verdict = "effect_found" if outcome.selected else "no_gap"
+    verdict = _verdict(outcome)
     return Findings(
         verdict,
         _sentence(verdict, machine, outcome, table),
@@ -95,9 +111,47 @@ def find_gap(
         places,
         gap_map,
         table,
+        steps,
         replays,
         inputs,
     )
+
+
+def _verdict(outcome: Outcome) -> str:
+    """Name effects only if they explain most of what any term could."""
+    named = sum(s.evidence.gain for s in outcome.selected)
+    if outcome.leftover and outcome.leftover[0].gain > UNKNOWN_SHARE * named:
+        return "unknown_effect"
+    return "effect_found" if outcome.selected else "no_gap"
+
+
+def _steps(
+    machine: Machine,
+    outcome: Outcome,
+    fitted: Sequence[Run],
+    held_out: Sequence[Run],
+    sets: Sequence[Array],
+) -> list[Step]:
+    """Judge the believed model, the refitted one and each with one more effect."""
+    names = ["believed", "refit", *(f"+ {e.name}" for e in outcome.final.hypothesis.effects)]
+    rmse = channel_rmse(replay_all(machine, held_out, outcome.data.noise, sets))
+    steps = []
+    for index, name in enumerate(names):
+        errors = {}
+        if machine.kind == "axis":
+            errors = {
+                "fitted": _mean_force_error(machine, fitted, sets[index]),
+                "held_out": _mean_force_error(machine, held_out, sets[index]),
+            }
+        own = {channel: float(values[index]) for channel, values in rmse.items()}
+        steps.append(Step(name, own, errors))
+    return steps
+
+
+def _mean_force_error(machine: Machine, runs: Sequence[Run], values: Array) -> float:
+    weights = [run.duration_s for run in runs]
+    errors = [relative_force_error(machine, run, values) for run in runs]
+    return float(np.average(errors, weights=weights))
 
 
 def split_runs(machine: Machine, logs: Sequence[Log]) -> Split:
@@ -126,10 +180,7 @@ def split_runs(machine: Machine, logs: Sequence[Log]) -> Split:
 
 def _cut(machine: Machine, log: Log, shares: Sequence[float]) -> list[Run]:
     edges = [round(share * len(log.t_s)) for share in shares]
-    return [
-        make_run(machine, log, begin, end)
-        for begin, end in zip(edges[:-1], edges[1:], strict=True)
-    ]
+    return [make_run(machine, log, begin, end) for begin, end in pairwise(edges)]
 
 
 def _too_little(machine: Machine, logs: Sequence[Log]) -> str | None:
@@ -175,6 +226,7 @@ def _insufficient(
         None,
         None,
         [],
+        [],
         inputs,
     )
 
@@ -184,6 +236,13 @@ def _sentence(verdict: str, machine: Machine, outcome: Outcome, table: GapTable)
     if verdict == "no_gap":
         return "No missing effect: the believed model explains these logs within its tolerances."
     parts = [_effect_words(machine, s) for s in outcome.selected]
+    if verdict == "unknown_effect":
+        term = outcome.leftover[0]
+        text = (
+            f"Something is missing that is none of the known effects: {term.equation}, depending on"
+            f" {term.dependence}."
+        )
+        return text + (f" Nearest known: {'; '.join(parts)}." if parts else "")
     text = "Missing: " + "; ".join(parts) + "."
     closed = table.closed
     if closed.value is not None:
@@ -205,7 +264,9 @@ def _effect_words(machine: Machine, selected: Selected) -> str:
         unit = machine.unit(candidate.effect, name)
         half = CONFIDENCE * float(np.sqrt(selected.evidence.covariance[k, k]))
         value = f"{selected.values[k]:.3g} ± {half:.1g}"
-        sizes.append(f"{machine.file_parameter(name)} {value}" + (f" {unit}" if unit != "1" else ""))
+        sizes.append(
+            f"{machine.file_parameter(name)} {value}" + (f" {unit}" if unit != "1" else "")
+        )
     return f"{candidate.name} ({', '.join(sizes)})"
 
 
@@ -232,6 +293,9 @@ def _as_effect(machine: Machine, candidate: Candidate, values: Array) -> Effect:
 def to_json(findings: Findings) -> dict[str, Any]:
     """Return gap.json as a dict."""
     machine, outcome, table = findings.machine, findings.outcome, findings.table
+    passed = [_effect_json(machine, s) for s in outcome.selected] if outcome else []
+    unknown = findings.verdict == "unknown_effect"
+    effects, nearest = ([], passed) if unknown else (passed, [])
     return {
         "schema": SCHEMA,
         "verdict": findings.verdict,
@@ -245,8 +309,23 @@ def to_json(findings: Findings) -> dict[str, Any]:
             }
             for p in findings.places
         ],
-        "effects": [_effect_json(machine, s) for s in outcome.selected] if outcome else [],
+        "effects": effects,
+        "nearest": nearest,
+        "unknown": [
+            {
+                "equation": u.equation,
+                "dependence": u.dependence,
+                "gain": u.gain,
+                "p_value": u.p_value,
+                "validation_gain": u.validation_gain,
+            }
+            for u in (outcome.leftover if outcome else ())
+        ],
         "gap": _table_json(table) if table else None,
+        "steps": [
+            {"model": s.name, "held_out": s.rmse, "relative_force_error": s.force_error}
+            for s in findings.steps
+        ],
         "detection_limits": outcome.limits if outcome and not outcome.selected else {},
         "base": _base_json(machine, outcome) if outcome else {},
         "split": {
@@ -262,7 +341,11 @@ def _effect_json(machine: Machine, selected: Selected) -> dict[str, Any]:
     candidate, evidence = selected.candidate, selected.evidence
     half = CONFIDENCE * np.sqrt(np.diag(evidence.covariance))
     parameters = {
-        machine.file_parameter(p.label): {"value": float(v), "low": float(v - h), "high": float(v + h)}
+        machine.file_parameter(p.label): {
+            "value": float(v),
+            "low": float(v - h),
+            "high": float(v + h),
+        }
         for p, v, h in zip(candidate.parameters, selected.values, half, strict=True)
         if np.isfinite(v)
     }

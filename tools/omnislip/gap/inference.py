@@ -63,9 +63,7 @@ class Hypothesis:
 
     def with_effect(self, candidate: Candidate, sizes: Sequence[float]) -> "Hypothesis":
         """Return this model with one more effect, its parameters at `sizes`."""
-        return replace(
-            self, effects=(*self.effects, candidate), x=np.concatenate([self.x, sizes])
-        )
+        return replace(self, effects=(*self.effects, candidate), x=np.concatenate([self.x, sizes]))
 
     def without(self, index: int) -> "Hypothesis":
         """Return this model without its effect number `index`."""
@@ -73,6 +71,17 @@ class Hypothesis:
         gone = range(first, first + len(self.effects[index].parameters))
         effects = self.effects[:index] + self.effects[index + 1 :]
         return replace(self, effects=effects, x=np.delete(self.x, list(gone)))
+
+    def last_two_joined(self) -> "Hypothesis":
+        """Return this model with its last two effects, parts of one effect, as one."""
+        first, second = self.effects[-2:]
+        shift = len(first.parameters)
+        joined = replace(
+            first,
+            parameters=first.parameters + second.parameters,
+            amplitudes=first.amplitudes + tuple(shift + i for i in second.amplitudes),
+        )
+        return replace(self, effects=(*self.effects[:-2], joined))
 
     def values_of(self, index: int) -> Array:
         """Return the parameter values of effect number `index`."""
@@ -100,7 +109,7 @@ class Data:
         self.tracks = track_all(machine, runs, values, noise)
         self.recordings = [run.recording for run in runs]
         self.believed = machine.believed
-        self._kept = [self._kept_rows(run) for run in self.runs]
+        self._kept = [self.kept_rows(run) for run in self.runs]
         self.blocks = self._block_numbers()
         self.scale = 1.0
         residual = self.residuals(values[None])[0]
@@ -112,7 +121,9 @@ class Data:
         for first in range(0, len(sets), BATCH):
             batch = np.ascontiguousarray(sets[first : first + BATCH])
             arrays = self.machine.engine.innovations(self.recordings, self.tracks, batch)
-            kept = [a[:, k].reshape(len(batch), -1) for a, k in zip(arrays, self._kept, strict=True)]
+            kept = [
+                a[:, k].reshape(len(batch), -1) for a, k in zip(arrays, self._kept, strict=True)
+            ]
             parts.append(np.concatenate(kept, axis=1))
         residuals = np.concatenate(parts) / self.scale
         return np.nan_to_num(residuals, nan=1e3, posinf=1e3, neginf=-1e3)
@@ -126,7 +137,8 @@ class Data:
         """Times of the rows of run `index` that count."""
         return self.runs[index].t_s[self._kept[index]]
 
-    def _kept_rows(self, run: Run) -> npt.NDArray[np.bool_]:
+    def kept_rows(self, run: Run) -> npt.NDArray[np.bool_]:
+        """Rows after the filter has found the initial state."""
         return run.t_s >= run.t_s[0] + SETTLE_S
 
     def _block_numbers(self) -> npt.NDArray[np.int64]:
@@ -225,8 +237,8 @@ def weigh(data: Data, without: float, with_effect: Fit, index: int) -> Evidence:
     hypothesis = with_effect.hypothesis
     first = len(hypothesis.base) + sum(len(e.parameters) for e in hypothesis.effects[:index])
     own = list(range(first, first + len(hypothesis.effects[index].parameters)))
-    score, information = _projected(data, with_effect, own)
-    inflation = _inflation(data, score, with_effect.residual, information)
+    score, information = _projected(with_effect, own)
+    inflation = inflation_of(data, score, with_effect.residual, information)
     gain = without - with_effect.objective
     scale = np.array([hypothesis.parameters[i].scale for i in own])
     covariance = np.linalg.pinv(information) * np.outer(scale, scale) * inflation
@@ -234,26 +246,41 @@ def weigh(data: Data, without: float, with_effect: Fit, index: int) -> Evidence:
     return Evidence(gain, inflation, p_value, covariance)
 
 
-def _projected(data: Data, fitted: Fit, own: list[int]) -> tuple[Array, Array]:
-    """Return the columns of `own` free of what the other parameters explain, and their Gram."""
-    jacobian = fitted.jacobian
+def free_of_fitted(fitted: Fit, columns: Array, leave_out: Sequence[int] = ()) -> Array:
+    """Return columns (m, k) without what the fitted parameters explain (keys with their prior).
+
+    Parameters on a bound cannot move and those in `leave_out` are not to: they explain nothing.
+    """
+    return _project(fitted, columns, leave_out)[0]
+
+
+def _project(fitted: Fit, columns: Array, leave_out: Sequence[int]) -> tuple[Array, Array]:
+    """Return the freed columns and the pull (k keys, columns) on the believed keys."""
     count = len(fitted.hypothesis.base)
-    others = [i for i in range(jacobian.shape[1]) if i not in own and not _at_bound(fitted, i)]
-    a, b = jacobian[:, own], jacobian[:, others]
+    others = [
+        i for i in range(fitted.jacobian.shape[1]) if i not in leave_out and not at_bound(fitted, i)
+    ]
+    b = fitted.jacobian[:, others]
     gram = b.T @ b + np.diag([1.0 if i < count else 0.0 for i in others])
     gram += 1e-9 * np.trace(gram) / max(len(gram), 1) * np.eye(len(gram))
-    weights = np.linalg.solve(gram, b.T @ a)
-    score = a - b @ weights
-    prior = weights[[k for k, i in enumerate(others) if i < count]]
-    return score, score.T @ score + prior.T @ prior
+    weights = np.linalg.solve(gram, b.T @ columns)
+    return columns - b @ weights, weights[[k for k, i in enumerate(others) if i < count]]
 
 
-def _at_bound(fitted: Fit, index: int) -> bool:
+def _projected(fitted: Fit, own: list[int]) -> tuple[Array, Array]:
+    """Return the columns of `own` free of what the other parameters explain, and their Gram."""
+    score, pull = _project(fitted, fitted.jacobian[:, own], own)
+    return score, score.T @ score + pull.T @ pull
+
+
+def at_bound(fitted: Fit, index: int) -> bool:
+    """Return whether free parameter `index` rests on one of its bounds."""
     p, x = fitted.hypothesis.parameters[index], fitted.hypothesis.x[index]
     return x <= p.low + 1e-6 * p.scale or x >= p.high - 1e-6 * p.scale
 
 
-def _inflation(data: Data, score: Array, residual: Array, information: Array) -> float:
+def inflation_of(data: Data, score: Array, residual: Array, information: Array) -> float:
+    """Return c: how much the block sums of a score vary beyond what white residuals would."""
     blocks = data.blocks
     sums = np.stack(
         [np.bincount(blocks, score[:, k] * residual) for k in range(score.shape[1])], axis=1

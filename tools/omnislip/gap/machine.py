@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from omnislip import _core
 from omnislip.errors import InputError
-from omnislip.model_file import Effect, Model
+from omnislip.model_file import TRANSLATING_NAMES, Effect, Model
 
 Array = npt.NDArray[np.float64]
 
@@ -32,13 +32,13 @@ AXIS_KEYS = {
 }
 # Dry friction is smoothed over this speed: slow enough to be dry, fast enough to integrate.
 AXIS_FRICTION_SPEED = {"linear": 1e-3, "rotary": 0.05}
-# The catalogue speaks of shafts; a linear axis says the same with its own units.
-LINEAR_NAMES = {
-    "torque_nm": ("force_n", "N"),
-    "viscous_friction_nm_s": ("viscous_friction_n_s_m", "N s/m"),
-    "viscous_nm_s": ("viscous_n_s_m", "N s/m"),
-    "speed_rad_s": ("speed_m_s", "m/s"),
-    "cycles_per_rev": ("cycles_per_m_2pi", "rad/m"),
+# The catalogue speaks of shafts; a translating axis says the same with its own units.
+TRANSLATING_UNITS = {
+    "torque_nm": "N",
+    "viscous_friction_nm_s": "N s/m",
+    "viscous_nm_s": "N s/m",
+    "speed_rad_s": "m/s",
+    "cycles_per_rev": "rad/m",
 }
 PERIODIC_UNIT = "rad"
 
@@ -114,6 +114,15 @@ class Machine:
             found += [self._candidate(entry, wheel) for wheel in wheels]
         return [candidate for candidate in found if not self._already_there(candidate)]
 
+    def extensions(self, effect: str) -> list[Candidate]:
+        """Return what refines an effect that is already in the model: not an effect of its own."""
+        entry = self.catalogue[effect]
+        return [
+            Candidate(effect, None, (self._effect_parameter(effect, p, None),), (0,))
+            for p in entry["parameters"]
+            if (effect, p["name"]) in EXTENSIONS
+        ]
+
     def with_effect(self, values: Array, candidate: Candidate, sizes: Iterable[float]) -> Array:
         """Return a copy of flat `values` in which the candidate's parameters have `sizes`."""
         changed = values.copy()
@@ -135,14 +144,19 @@ class Machine:
             name=self.model.name,
         )
 
+    def sign_of(self, effect: str, parameter: str) -> float:
+        """Return the direction in which a size is usually off: -1 or 1."""
+        entry = self.catalogue[effect]["parameters"]
+        return math.copysign(1.0, next(p["typical"] for p in entry if p["name"] == parameter))
+
     def file_parameter(self, parameter: str) -> str:
         """Return the name of a catalogue parameter in this machine's files."""
-        return LINEAR_NAMES.get(parameter, (parameter, ""))[0] if self.linear else parameter
+        return TRANSLATING_NAMES.get(parameter, parameter) if self.linear else parameter
 
     def unit(self, effect: str, parameter: str) -> str:
         """Return the unit of a catalogue parameter on this machine."""
-        if self.linear and parameter in LINEAR_NAMES:
-            return LINEAR_NAMES[parameter][1]
+        if self.linear and parameter in TRANSLATING_UNITS:
+            return TRANSLATING_UNITS[parameter]
         entry = self.catalogue[effect]["parameters"]
         return next(p["unit"] for p in entry if p["name"] == parameter)
 
@@ -174,7 +188,7 @@ class Machine:
         return values
 
     def _apply(self, values: Array, effect: Effect) -> None:
-        """Write an effect of the model file into the flat vector; sizes of one wheel add up."""
+        """Write an effect of the model file into the flat vector."""
         for name, value in effect.parameters.items():
             catalogue_name = self._catalogue_parameter(name)
             places = list(self.place(effect.name, catalogue_name, effect.wheel))
@@ -182,7 +196,7 @@ class Machine:
 
     def _catalogue_parameter(self, name: str) -> str:
         if self.linear:
-            return next((k for k, (linear, _) in LINEAR_NAMES.items() if linear == name), name)
+            return next((k for k, linear in TRANSLATING_NAMES.items() if linear == name), name)
         return name
 
     def _key_places(self) -> dict[str, tuple[int, ...]]:
@@ -213,40 +227,34 @@ class Machine:
         )
 
     def _candidate(self, entry: dict, wheel: int | None) -> Candidate:
-        parameters, amplitudes, shapes = [], [], {}
-        for index, p in enumerate(entry["parameters"]):
-            typical = p["typical"]
-            if typical != 0:
-                amplitudes.append(index)
-                if self.kind == "axis":
-                    typical = self._axis_size(p["name"], typical)
-            else:
-                shapes[index] = p
-            parameters.append(
-                Parameter(
-                    p["name"],
-                    self.place(entry["name"], p["name"], wheel),
-                    abs(typical) if typical else _shape_scale(p),
-                    p["low"],
-                    p["high"],
-                )
-            )
+        own = [p for p in entry["parameters"] if (entry["name"], p["name"]) not in EXTENSIONS]
+        parameters = [self._effect_parameter(entry["name"], p, wheel) for p in own]
+        sizes = [i for i, p in enumerate(own) if p["typical"] != 0]
+        shapes = {i: p for i, p in enumerate(own) if p["typical"] == 0}
         starts = _shape_starts(entry["name"], shapes)
-        return Candidate(entry["name"], wheel, tuple(parameters), tuple(amplitudes), starts)
+        return Candidate(entry["name"], wheel, tuple(parameters), tuple(sizes), starts)
+
+    def _effect_parameter(self, effect: str, entry: dict, wheel: int | None) -> Parameter:
+        if entry["typical"] == 0:
+            scale = _shape_scale(entry)
+        elif self.kind == "axis":
+            scale = self._axis_size(entry["name"], entry["typical"])
+        else:
+            scale = abs(entry["typical"])
+        places = self.place(effect, entry["name"], wheel)
+        return Parameter(entry["name"], places, scale, entry["low"], entry["high"])
 
     def _axis_size(self, parameter: str, typical: float) -> float:
         """Size worth looking for, from the axis' own scale: its force at unit command."""
-        values = self.believed if hasattr(self, "believed") else self._flat_values()
-        inertia, gain, _, viscous = values[:4]
-        if parameter == "torque_nm":
-            return 0.1 * gain * math.copysign(1.0, typical)
-        if parameter in ("viscous_friction_nm_s", "viscous_nm_s"):
-            return max(0.1 * viscous, 0.01 * inertia)
-        if parameter == "coefficient":
-            return typical
-        if parameter in ("mass_kg", "inertia_kg_m2"):
-            return 0.05 * inertia
-        return typical
+        inertia, gain, _, viscous = self.believed[:4]
+        sizes = {
+            "torque_nm": 0.1 * gain,
+            "viscous_friction_nm_s": max(0.1 * viscous, 0.01 * inertia),
+            "viscous_nm_s": max(0.1 * viscous, 0.01 * inertia),
+            "mass_kg": 0.05 * inertia,
+            "inertia_kg_m2": 0.05 * inertia,
+        }
+        return sizes.get(parameter, abs(typical))
 
     def _already_there(self, candidate: Candidate) -> bool:
         return any(
@@ -258,8 +266,13 @@ class Machine:
 def _shape_scale(parameter: dict) -> float:
     if parameter["unit"] == PERIODIC_UNIT:
         return 0.3
-    return max(0.1 * abs(parameter["neutral"]), 0.05) if math.isfinite(parameter["neutral"]) else 0.3
+    return (
+        max(0.1 * abs(parameter["neutral"]), 0.05) if math.isfinite(parameter["neutral"]) else 0.3
+    )
 
+
+# Parameters that refine an effect once it is named, where it alone does not fit.
+EXTENSIONS = {("contact_shape", "brush")}
 
 # Starting values of shaping parameters; where the fit is not convex one start is not enough.
 SHAPE_GRIDS = {

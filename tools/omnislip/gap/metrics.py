@@ -80,7 +80,9 @@ def replay_all(
         errors = np.stack([column[index][0] for column in columns]) * sampled * run.scale
         last_track = columns[-1][index][1]
         floor = last_track.replay_variance.reshape(run.outputs.shape) * run.scale**2
+        # The first restart is at the first row past the settling time; its error is the old one's.
         counted = run.t_s >= run.t_s[0] + SETTLE_S
+        counted[np.argmax(counted)] = False
         replays.append(Replays(run, errors, floor, counted))
     return replays
 
@@ -103,6 +105,16 @@ def gap_table(replays: Sequence[Replays]) -> GapTable:
         closed_fraction(replays, seen, floor),
         tuple(r.run.name for r in replays),
     )
+
+
+def channel_rmse(replays: Sequence[Replays]) -> dict[str, Array]:
+    """Return RMSE (models,) of every sampled channel over all runs."""
+    moments = np.nanmean(np.stack([_moments(r) for r in replays]), axis=0)
+    return {
+        channel: np.sqrt(moments[:, c])
+        for c, channel in enumerate(replays[0].run.channels)
+        if any(_sampled(r, c) for r in replays)
+    }
 
 
 def closed_fraction(replays: Sequence[Replays], seen: Sequence[int], floor: Array) -> Closed:

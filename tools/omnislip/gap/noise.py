@@ -7,7 +7,6 @@ of a sensor hold its noise and hardly any motion.
 """
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,16 +39,23 @@ class Noise:
     """Logarithms of the fitted variances."""
 
 
-def track_all(machine: Machine, runs: Sequence[Run], values: Array, noise: Noise) -> list:
-    """Run the filter of one parameter set over all runs, on all cores."""
-
-    def one(run: Run) -> _core.Track:
-        return machine.engine.track(
-            run.recording, values, noise.process, noise.output, noise.initial, noise.timing_s2
-        )
-
-    with ThreadPoolExecutor() as pool:
-        return list(pool.map(one, runs))
+def track_all(
+    machine: Machine,
+    runs: Sequence[Run],
+    values: Array,
+    noise: Noise,
+    keep_linear: bool = False,
+) -> list[_core.Track]:
+    """Run the filter of one parameter set over all runs; `keep_linear` keeps its matrices."""
+    return machine.engine.track(
+        [run.recording for run in runs],
+        values,
+        noise.process,
+        noise.output,
+        noise.initial,
+        noise.timing_s2,
+        keep_linear=keep_linear,
+    )
 
 
 def tune_noise(

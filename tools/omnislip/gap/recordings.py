@@ -1,4 +1,4 @@
-"""Logs as the replay engine takes them: outputs in SI, wraps removed, a first guess of the state."""
+"""Logs as the replay engine takes them: SI units, wraps removed, a first guess of the state."""
 
 from dataclasses import dataclass
 

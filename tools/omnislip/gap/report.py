@@ -74,8 +74,9 @@ def render(findings: Findings, command_line: str) -> str:
             added_text=_added_text(findings),
             effects=_effects(findings, numbers),
             gap=_gap(findings, numbers),
+            ladder=_ladder(findings),
             where=_where(findings),
-            overlays=_overlays(findings.replays),
+            overlays=_overlays(findings),
             steps=_steps(findings),
             limits=_limits(findings.machine, numbers["detection_limits"]),
             keys=_keys(numbers["base"]),
@@ -90,7 +91,7 @@ def format_number(value: float | None) -> str:
     """Return three significant digits, with a power of ten where plain digits would be long."""
     if value is None or not np.isfinite(value):
         return "–"
-    if value == 0 or 1e-3 <= abs(value) < 1e5:
+    if value == 0 or 1e-4 <= abs(value) < 1e5:
         text = f"{value:#.3g}" if abs(value) < 100 else f"{value:.0f}"
         return text.replace("-", "−")
     mantissa, exponent = f"{value:.2e}".split("e")
@@ -111,10 +112,14 @@ def _added_text(findings: Findings) -> str:
 
 
 def _effects(findings: Findings, numbers: Json) -> list[Json]:
-    """One entry per found effect: its catalogue text, sizes and rivals."""
+    """One entry per effect of the amended model: its catalogue text, sizes and rivals.
+
+    Where the verdict is unknown these are the nearest known effects.
+    """
     if not findings.outcome:
         return []
     machine = findings.machine
+    known = numbers["effects"] or numbers["nearest"]
     return [
         {
             "name": selected.candidate.name,
@@ -126,7 +131,7 @@ def _effects(findings: Findings, numbers: Json) -> list[Json]:
             "rivals": [(rival, _summary(machine, rival)) for rival in effect["ambiguous_with"]],
             "manoeuvre": effect["separating_manoeuvre"],
         }
-        for selected, effect in zip(findings.outcome.selected, numbers["effects"], strict=True)
+        for selected, effect in zip(findings.outcome.selected, known, strict=True)
     ]
 
 
@@ -143,12 +148,16 @@ def _summary(machine: Machine, candidate_name: str) -> str:
     return machine.catalogue[candidate_name.split(" ")[0]]["summary"]
 
 
+def _has_effect(findings: Findings) -> bool:
+    return bool(findings.outcome and findings.outcome.selected)
+
+
 def _gap(findings: Findings, numbers: Json) -> Json | None:
     """Rows of the gap table and its picture; the last model only where an effect was added."""
     table = findings.table
     if table is None:
         return None
-    models = MODELS if findings.amended.effects != findings.machine.model.effects else MODELS[:2]
+    models = MODELS if _has_effect(findings) else MODELS[:2]
     rows = [
         {"name": CHANNELS[channel][0], "channel": channel, "unit": CHANNELS[channel][1], **figures}
         for channel, figures in numbers["gap"]["channels"].items()
@@ -156,16 +165,36 @@ def _gap(findings: Findings, numbers: Json) -> Json | None:
     names = [row["name"] for row in rows]
     return {
         "rows": rows,
-        "with_effect": models is MODELS,
+        "with_effect": _has_effect(findings),
         "picture": report_pictures.gap_picture(table, names, models),
         **numbers["gap"],
+    }
+
+
+def _ladder(findings: Findings) -> Json | None:
+    """How the errors fall with each effect; None where there is nothing between refit and all."""
+    steps = findings.steps
+    force = any(step.force_error for step in steps)
+    if len(steps) <= 3 and not force:
+        return None
+    return {
+        "channels": [CHANNELS[channel] for channel in steps[0].rmse],
+        "rows": [
+            {
+                "model": "refitted" if step.name == "refit" else step.name,
+                "rmse": list(step.rmse.values()),
+                "force_error": list(step.force_error.values()),
+            }
+            for step in steps
+        ],
+        "force": force,
     }
 
 
 def _where(findings: Findings) -> Json | None:
     """Places of the gap in words, and pictures of its equations and times."""
     gap_map = findings.gap_map
-    if gap_map is None or not gap_map.shares.any():
+    if gap_map is None or findings.verdict == "no_gap" or not gap_map.shares.any():
         return None
     robot = None
     if findings.machine.kind == "robot":
@@ -175,8 +204,12 @@ def _where(findings: Findings) -> Json | None:
     equations = [EQUATIONS[equation] for equation in gap_map.equations]
     return {
         "places": [
-            {"name": EQUATIONS[p.channel], "condition": p.condition, "share": p.share,
-             "windows": p.windows_s}
+            {
+                "name": EQUATIONS[p.channel],
+                "condition": p.condition,
+                "share": p.share,
+                "windows": p.windows_s,
+            }
             for p in findings.places
         ],
         "robot": robot,
@@ -185,11 +218,13 @@ def _where(findings: Findings) -> Json | None:
     }
 
 
-def _overlays(replays: Sequence[Replays]) -> list[Json]:
+def _overlays(findings: Findings) -> list[Json]:
     """Pictures of every held-out run, the one with the largest gap first."""
+    models = list(enumerate(MODELS))
+    shown = models[1:] if _has_effect(findings) else models[:2]
     return [
-        {"name": one.run.name, "pictures": _run_pictures(one)}
-        for one in sorted(replays, key=_size_of_gap, reverse=True)
+        {"name": one.run.name, "pictures": _run_pictures(one, shown)}
+        for one in sorted(findings.replays, key=_size_of_gap, reverse=True)
     ]
 
 
@@ -199,13 +234,13 @@ def _size_of_gap(replays: Replays) -> float:
     return float(np.nanmean(ratio))
 
 
-def _run_pictures(replays: Replays) -> list[Json]:
+def _run_pictures(replays: Replays, models: Sequence[tuple[int, str]]) -> list[Json]:
     pictures = []
     for index, channel in enumerate(replays.run.channels):
         if np.all(np.isnan(replays.errors[0][replays.counted, index])):
             continue
         name, unit = CHANNELS[channel]
-        picture = report_pictures.replay_picture(replays, index, unit, unit == "counts")
+        picture = report_pictures.replay_picture(replays, index, unit, unit == "counts", models)
         pictures.append({"name": name, "channel": channel, "source": picture})
     return pictures
 
@@ -218,14 +253,13 @@ def _steps(findings: Findings) -> list[Json]:
     steps = []
     for number in sorted({trial.step for trial in trials}):
         own = [trial for trial in trials if trial.step == number]
+        rows = [{"trial": t, "sizes": _trial_sizes(findings.machine, t)} for t in own]
         steps.append(
             {
                 "number": number,
                 "picture": report_pictures.ranking_picture(own),
-                "trials": [
-                    {"trial": trial, "sizes": _trial_sizes(findings.machine, trial)}
-                    for trial in own
-                ],
+                "trials": rows,
+                "taken": next((row for row in rows if row["trial"].accepted), None),
             }
         )
     return steps
@@ -259,6 +293,8 @@ def _limits(machine: Machine, limits: dict[str, dict[str, float]]) -> list[Json]
                     "unit": _unit(machine, candidate, name),
                     "limit": limit,
                     "typical": parameter.scale,
+                    "hidden": limit > parameter.scale,
+                    "many": len(candidate.amplitudes) > 1,
                     "visible": limit <= max(parameter.high - neutral, neutral - parameter.low),
                 }
             )
@@ -303,6 +339,11 @@ def _thresholds() -> list[tuple[str, str]]:
         (
             f"{search.RIVAL_MARGIN:g}",
             "a rival whose gain is smaller by less than this cannot be told from the effect",
+        ),
+        (
+            f"{100 * find.UNKNOWN_SHARE:g} %",
+            "of what the effects have gained: a nameless term that gains more makes the verdict "
+            "unknown",
         ),
         (f"{search.MOST_EFFECTS}", "most effects that are added"),
         (f"{search.REFITS}", "candidates of each step that are fitted fully"),

@@ -20,7 +20,18 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import chi2
 
-from omnislip.gap.inference import Data, Evidence, Fit, Hypothesis, fit, linearise, objective, weigh
+from omnislip.gap.inference import (
+    Data,
+    Evidence,
+    Fit,
+    Hypothesis,
+    fit,
+    free_of_fitted,
+    inflation_of,
+    objective,
+    weigh,
+)
+from omnislip.gap.leftover import Leftover, find_leftover
 from omnislip.gap.machine import Candidate, Machine
 from omnislip.gap.noise import Noise, tune_noise
 from omnislip.gap.recordings import Run
@@ -32,8 +43,13 @@ ALPHA = 0.01
 LEAST_SHARE = 0.01
 MOST_EFFECTS = 4
 REFITS = 12
+VISIBLE_GAIN = 25.0
+LEAST_PROMISE = 8.0
+"""Promised gain below which no refit could bring a candidate past the threshold of chance."""
 RIVAL_MARGIN = 10.0
 DROP_P_VALUE = 0.01
+CONVERGED = 0.05
+"""Share of a candidate's gain that refitting without it may find."""
 VALIDATION_SHARE = 0.75
 
 
@@ -66,8 +82,12 @@ class Outcome:
 
     base: Fit
     final: Fit
+    ladder: tuple[Fit, ...]
+    """Refits on all runs but the held-out ones: base, with the first effect, the first two, ..."""
     selected: tuple[Selected, ...]
     trials: tuple[Trial, ...]
+    leftover: tuple[Leftover, ...]
+    """What the final model leaves and no effect of the catalogue explains, strongest first."""
     limits: dict[str, dict[str, float]]
     data: Data
 
@@ -80,7 +100,7 @@ class Screened:
     candidate: Candidate
     start: Array
     limit: Array
-    """Sizes that this data would show with a gain of 25."""
+    """Sizes, in steps of the screen, whose gain would stand out from chance."""
 
 
 def search(
@@ -100,22 +120,32 @@ def search(
         if limits is None:
             limits = {s.candidate.name: _limit(machine, s) for s in screened}
         checks = Data(machine, validation, data.noise, current.hypothesis.flat(machine.believed))
-        found = _try(data, checks, current, screened[:REFITS], step, tried, gained, progress)
+        worth = [s for s in screened[:REFITS] if s.promise > LEAST_PROMISE]
+        found = _try(data, checks, current, worth, step, tried, gained, progress)
         trials += [trial for trial, _ in found]
         accepted = [(trial, fitted) for trial, fitted in found if trial.accepted]
         if not accepted:
             break
         trial, fitted = accepted[0]
+        without = fit(data, fitted.hypothesis.without(len(current.hypothesis.effects)))
+        if without.objective < current.objective - CONVERGED * max(1.0, trial.evidence.gain):
+            current = without  # the gain was that of the keys, which had not settled
+            continue
         gained += trial.evidence.gain
         data, current = _settle(machine, fitting, fitted.hypothesis, data.noise)
-        current = _drop_needless(data, current)
+        current = _drop_needless(data, _extend(machine, data, current))
         taken = {effect.name for effect in current.hypothesis.effects}
         candidates = [c for c in candidates if c.name not in taken]
+    progress("looking for what no effect explains")
+    checks = Data(machine, validation, data.noise, current.hypothesis.flat(machine.believed))
+    leftover = find_leftover(data, checks, current)
     progress("fitting the final model on all runs but the held-out ones")
     data, final = _settle(machine, [*fitting, *validation], current.hypothesis, data.noise)
-    base = fit(data, base_values)
+    ladder = _ladder(data, base_values, final)
     selected = _compare_rivals(machine, data, final, progress)
-    return Outcome(base, final, selected, tuple(trials), limits or {}, data)
+    return Outcome(
+        ladder[0], final, ladder, selected, tuple(trials), tuple(leftover), limits or {}, data
+    )
 
 
 def _believed(machine: Machine) -> Hypothesis:
@@ -126,15 +156,30 @@ def _believed(machine: Machine) -> Hypothesis:
 def _settle(
     machine: Machine, runs: Sequence[Run], start: Hypothesis, noise: Noise | None = None
 ) -> tuple[Data, Fit]:
-    """Tune the noise at `start`, fit, and once more from there: predictor and model agree."""
+    """Tune the noise at `start`, fit, and once more from there: predictor and model agree.
+
+    With a `noise` to start from, one tuning is enough.
+    """
     hypothesis = start
-    for _ in range(2):
+    tunings = 2 if noise is None else 1
+    for round_number in range(2):
         values = hypothesis.flat(machine.believed)
-        noise = tune_noise(machine, runs, values, noise)
+        if round_number < tunings:
+            noise = tune_noise(machine, runs, values, noise)
         data = Data(machine, runs, noise, values)
         fitted = fit(data, hypothesis)
         hypothesis = fitted.hypothesis
     return data, fitted
+
+
+def _ladder(data: Data, base: Hypothesis, final: Fit) -> tuple[Fit, ...]:
+    """Add the effects of the final model one by one, in the order in which they were found."""
+    rungs = [fit(data, base)]
+    hypothesis = final.hypothesis
+    for index, effect in enumerate(hypothesis.effects[:-1]):
+        start = rungs[-1].hypothesis.with_effect(effect, hypothesis.values_of(index))
+        rungs.append(fit(data, start))
+    return (*rungs, final) if hypothesis.effects else tuple(rungs)
 
 
 def screen(data: Data, current: Fit, candidates: Sequence[Candidate]) -> list[Screened]:
@@ -150,7 +195,7 @@ def screen(data: Data, current: Fit, candidates: Sequence[Candidate]) -> list[Sc
     ranked: dict[str, Screened] = {}
     for number, (candidate, start) in enumerate(variants):
         columns = (residuals[[i for i, o in enumerate(owners) if o == number]] - current.residual).T
-        found = _promise(current, candidate, start, columns)
+        found = _promise(data, current, candidate, start, columns)
         best = ranked.get(candidate.name)
         if best is None or found.promise > best.promise:
             ranked[candidate.name] = found
@@ -168,8 +213,8 @@ def _reach(candidate: Candidate, machine: Machine, amplitude: int) -> float:
     """Change from absence to a size worth looking for; from infinity it is the size itself."""
     parameter = candidate.parameters[amplitude]
     neutral = machine.believed[parameter.places[0]]
-    entry = machine.catalogue[candidate.effect]["parameters"][amplitude]
-    return parameter.scale * np.sign(entry["typical"]) if np.isfinite(neutral) else parameter.scale
+    sign = machine.sign_of(candidate.effect, parameter.label)
+    return parameter.scale * sign if np.isfinite(neutral) else parameter.scale
 
 
 def _moved(
@@ -182,45 +227,27 @@ def _moved(
 
 
 def _promise(
-    current: Fit, candidate: Candidate, start: dict[int, float], columns: Array
+    data: Data, current: Fit, candidate: Candidate, start: dict[int, float], columns: Array
 ) -> Screened:
-    machine_values = [p for p in candidate.parameters]
-    free = _free_of_base(current, columns)
+    free = free_of_fitted(current, columns)
     gram = free.T @ free
     right = free.T @ current.residual
     amount = -np.linalg.lstsq(gram + 1e-12 * np.eye(len(gram)), right, rcond=None)[0]
     promise = float(-right @ amount)
-    sizes = np.zeros(len(machine_values))
+    sizes = np.zeros(len(candidate.parameters))
     for index, value in start.items():
         sizes[index] = value
     for k, index in enumerate(candidate.amplitudes):
         sizes[index] = amount[k]
-    limit = 5.0 / np.sqrt(np.maximum(np.diag(gram), 1e-12))
+    inflation = inflation_of(data, free, current.residual + free @ amount, gram)
+    limit = np.sqrt(VISIBLE_GAIN * inflation / np.maximum(np.diag(gram), 1e-12))
     return Screened(promise, candidate, sizes, limit)
-
-
-def _free_of_base(current: Fit, columns: Array) -> Array:
-    """Remove what the free parameters of the current model explain (base keys with their prior)."""
-    jacobian = current.jacobian
-    count = len(current.hypothesis.base)
-    inside = [i for i in range(jacobian.shape[1]) if not _bounded(current, i)]
-    b = jacobian[:, inside]
-    gram = b.T @ b + np.diag([1.0 if i < count else 0.0 for i in inside])
-    gram += 1e-9 * np.trace(gram) / max(len(gram), 1) * np.eye(len(gram))
-    return columns - b @ np.linalg.solve(gram, b.T @ columns)
-
-
-def _bounded(fitted: Fit, index: int) -> bool:
-    p, x = fitted.hypothesis.parameters[index], fitted.hypothesis.x[index]
-    return x <= p.low + 1e-6 * p.scale or x >= p.high - 1e-6 * p.scale
 
 
 def _starting_sizes(machine: Machine, screened: Screened) -> list[Array]:
     """Sizes to start a fit from: hardly there, and the linear estimate up to twice typical."""
     candidate = screened.candidate
-    shapes = {
-        i: float(v) for i, v in enumerate(screened.start) if i not in candidate.amplitudes
-    }
+    shapes = {i: float(v) for i, v in enumerate(screened.start) if i not in candidate.amplitudes}
     low = np.array([p.low for p in candidate.parameters])
     high = np.array([p.high for p in candidate.parameters])
     margin = np.array([0.01 * p.scale for p in candidate.parameters])
@@ -236,12 +263,13 @@ def _starting_sizes(machine: Machine, screened: Screened) -> list[Array]:
 
 
 def _refit(data: Data, current: Fit, screened: Screened) -> Fit:
-    """Fit the current model with one more effect, from each start; the best."""
-    fits = [
-        fit(data, current.hypothesis.with_effect(screened.candidate, sizes))
+    """Fit the current model with one more effect, from the better of the starts."""
+    starts = [
+        current.hypothesis.with_effect(screened.candidate, sizes)
         for sizes in _starting_sizes(data.machine, screened)
     ]
-    return min(fits, key=lambda f: f.objective)
+    costs = objective(data, starts[0], np.stack([start.x for start in starts]))
+    return fit(data, starts[int(np.argmin(costs))])
 
 
 def _try(
@@ -281,6 +309,8 @@ def _simplest_first(
 
     The gain of each additional parameter has to exceed what chance gives one in a thousand.
     """
+    if not results:
+        return []
     results = sorted(results, key=lambda r: -r[2].gain)
     best = results[0]
     for rival in results[1:]:
@@ -298,9 +328,7 @@ def _validation_gains(checks: Data, without: Hypothesis, with_effect: Hypothesis
     return np.array([np.sum(b**2) - np.sum(a**2) for b, a in zip(before, after, strict=True)])
 
 
-def _verdict(
-    evidence: Evidence, gains: Array, tried: int, gained: float
-) -> tuple[str, bool]:
+def _verdict(evidence: Evidence, gains: Array, tried: int, gained: float) -> tuple[str, bool]:
     chance = min(1.0, evidence.p_value * tried)
     if chance >= ALPHA:
         return f"could be chance (p = {chance:.2g} over everything tried)", False
@@ -312,6 +340,18 @@ def _verdict(
     if evidence.gain < LEAST_SHARE * gained:
         return "real perhaps, but under 1 % of what was found", False
     return "explains more than any other effect", True
+
+
+def _extend(machine: Machine, data: Data, fitted: Fit) -> Fit:
+    """Refine the last effect of the model where that gains more than chance."""
+    last = fitted.hypothesis.effects[-1]
+    for extension in machine.extensions(last.effect):
+        one = Screened(0.0, extension, np.array([0.1]), np.array([np.inf]))
+        refined = _refit(data, fitted, one)
+        index = len(fitted.hypothesis.effects)
+        if weigh(data, fitted.objective, refined, index).p_value < ALPHA:
+            fitted = replace(refined, hypothesis=refined.hypothesis.last_two_joined())
+    return fitted
 
 
 def _drop_needless(data: Data, fitted: Fit) -> Fit:
@@ -337,7 +377,8 @@ def _compare_rivals(
         evidence = weigh(data, without.objective, final, index)
         others = [c for c in machine.candidates() if c.name not in taken]
         rivals = []
-        for one in screen(data, without, others)[:4]:
+        simple = [c for c in others if len(c.parameters) <= len(effect.parameters)]
+        for one in screen(data, without, simple)[:4]:
             worse = (_refit(data, without, one).objective - final.objective) / evidence.inflation
             if worse < RIVAL_MARGIN:
                 rivals.append(one.candidate.name)
@@ -347,11 +388,12 @@ def _compare_rivals(
 
 
 def _limit(machine: Machine, screened: Screened) -> dict[str, float]:
-    """Smallest size of each parameter that this data would have shown (a gain of 25)."""
+    """Smallest size of each parameter that this data would have shown; absent means size 0."""
     candidate = screened.candidate
     return {
         machine.file_parameter(candidate.parameters[index].label): float(
             abs(_reach(candidate, machine, index)) * screened.limit[k]
         )
         for k, index in enumerate(candidate.amplitudes)
+        if np.isfinite(machine.believed[candidate.parameters[index].places[0]])
     }

@@ -105,7 +105,6 @@ def _corrections(
 
 def _coordinates(run: Run) -> dict[str, Array]:
     """Quantities a condition may name, one value per row; `wheel/i/...` belong to wheel i."""
-    step = np.diff(run.t_s, append=run.t_s[-1] + np.median(np.diff(run.t_s)))
     motors = run.command.shape[1]
     angles = run.outputs[:, :motors]
     speed = np.gradient(angles, run.t_s, axis=0)
@@ -113,14 +112,13 @@ def _coordinates(run: Run) -> dict[str, Array]:
     acceleration = np.gradient(speed, run.t_s, axis=0)
     found: dict[str, Array] = {"time": run.t_s - run.t_s[0]}
     for i in range(motors):
-        own = f"{i + 1}|" if motors > 1 else "1|"
+        own = f"{i + 1}|"
         found[own + "speed"] = np.abs(speed[:, i])
         found[own + "signed speed"] = speed[:, i]
         found[own + "command"] = np.abs(run.command[:, i])
         found[own + "driving"] = run.command[:, i] * np.sign(speed[:, i])
         found[own + "acceleration"] = np.abs(acceleration[:, i])
     found["total command"] = np.sum(np.abs(run.command), axis=1)
-    del step
     return found
 
 
@@ -159,7 +157,8 @@ def _condition(columns: list[Array], states: list[dict[str, Array]], channel: st
             share, time = excess[inside].sum() / total, inside.mean()
             if share - time > best and share > 0.5:
                 best = share - time
-                sentence = f"{phrase} ({100 * min(share, 1.0):.0f} % of it in {100 * time:.0f} % of the time)"
+                held = f"{100 * min(share, 1.0):.0f} % of it in {100 * time:.0f} % of the time"
+                sentence = f"{phrase} ({held})"
     return sentence
 
 

@@ -1,0 +1,116 @@
+"""The catalogue of effects: sound descriptions, and each effect does something."""
+
+import math
+import os
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from engine_run import motors, parameter_set, simulate
+from omnislip import _core
+
+CATALOGUE = {effect["name"]: effect for effect in _core.effects()}
+DATA = Path(os.environ.get("OMNISLIP_DATA", Path(__file__).parents[2] / "../shared/data"))
+DESIGN = DATA.parent / "design.md"
+
+
+def size(parameter):
+    """Typical value of an effect that has one, else a value well off neutral."""
+    if math.isinf(parameter["neutral"]) and parameter["typical"] > 0.0:
+        return parameter["typical"]
+    return parameter["neutral"] + parameter["typical"]
+
+
+# An axis like a motor of the robot, so that the typical sizes are typical of it too.
+BASE = {
+    "robot": {},
+    "axis": {
+        "axis.inertia": 2.5e-5,
+        "axis.input_gain": 1.02,
+        "axis.back_emf": 1.1e-3,
+        "axis.friction_speed": 2.0,
+    },
+}
+
+
+def cases(kind):
+    return [name for name, effect in CATALOGUE.items() if kind in effect["kinds"]]
+
+
+def run(kind, effects):
+    rng = np.random.default_rng(11)
+    command = np.repeat(rng.uniform(-0.8, 0.8, (30, motors(kind))), 10, axis=0)
+    time = np.arange(len(command)) * 0.01
+    initial = np.zeros(14 if kind == "robot" else 2)
+    sets = [parameter_set(kind, BASE[kind]), parameter_set(kind, BASE[kind], effects)]
+    return simulate(sets, time, command, initial, kind)
+
+
+@pytest.mark.parametrize("kind", ["robot", "axis"])
+def test_every_effect_of_typical_size_shows_in_the_outputs(kind):
+    silent = []
+    for name in cases(kind):
+        effects = [(name, p["name"], size(p)) for p in CATALOGUE[name]["parameters"]]
+        believed, with_effect = run(kind, effects)
+        assert np.isfinite(with_effect).all(), name
+        if np.abs(with_effect - believed).max() < 1e-4:
+            silent.append(name)
+    assert silent == []
+
+
+def test_effect_on_one_wheel_is_not_the_effect_on_all():
+    same = []
+    for name in cases("robot"):
+        effect = CATALOGUE[name]
+        if effect["per_wheel"]:
+            everywhere = [(name, p["name"], size(p)) for p in effect["parameters"]]
+            alone = [(*parameter, 2) for parameter in everywhere]
+            if np.abs(run("robot", everywhere)[1] - run("robot", alone)[1]).max() < 1e-4:
+                same.append(name)
+    assert same == []
+
+
+@pytest.mark.parametrize("name", CATALOGUE)
+def test_description_is_complete_and_its_bounds_are_in_order(name):
+    effect = CATALOGUE[name]
+    assert effect["summary"].endswith(".")
+    assert effect["equation"] and effect["where"] and effect["source"]
+    assert effect["kinds"] and effect["parameters"]
+    assert any(p["typical"] != 0.0 for p in effect["parameters"])
+    for parameter in effect["parameters"]:
+        assert re.fullmatch(r"[a-z0-9_]+", parameter["name"])
+        assert parameter["unit"]
+        assert parameter["low"] <= parameter["neutral"] <= parameter["high"]
+        assert parameter["low"] <= size(parameter) <= parameter["high"]
+
+
+def test_names_are_unique():
+    assert len(CATALOGUE) == len(_core.effects())
+    for kind in ("robot", "axis"):
+        names = [p["name"] for p in _core.base_parameters(kind)]
+        assert len(set(names)) == len(names)
+
+
+def documented_effects():
+    """{effect: [alternative names, per parameter]}; wheel and run are no parameters."""
+    rows = re.findall(r"^\| ([a-z_, ]+) \| ([^|]+) \| [^|]+ \|$", DESIGN.read_text(), re.MULTILINE)
+    documented = {}
+    for names, columns in rows:
+        entries = [re.sub(r"\(.*?\)|\[.*?\]", "", entry).split() for entry in columns.split(",")]
+        for name in names.split(", "):
+            documented[name] = [
+                [word for word in entry if "_" in word] or entry[:1]
+                for entry in entries
+                if entry[0] not in ("wheel", "wheels", "run", "optional")
+            ]
+    return documented
+
+
+@pytest.mark.skipif(not DESIGN.exists(), reason="the design table is not beside the data")
+def test_names_are_those_of_the_design_table():
+    documented = documented_effects()
+    for name, effect in CATALOGUE.items():
+        names = {parameter["name"] for parameter in effect["parameters"]}
+        for alternatives in documented.get(name, []):
+            assert names & set(alternatives), f"{name}: {alternatives}"

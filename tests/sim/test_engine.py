@@ -1,0 +1,233 @@
+"""The replay engine against an independent model, against itself, and against wrong input."""
+
+import numpy as np
+import pytest
+import slip_model_reference as reference
+from engine_run import parameter_set, simulate
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from omnislip import _core
+
+DUTY = st.lists(st.lists(st.floats(-0.9, 0.9), min_size=4, max_size=4), min_size=2, max_size=5).map(
+    np.array
+)
+ANGLE = st.floats(-3.0, 3.0)
+
+
+def random_duty(rows, seed):
+    return np.random.default_rng(seed).uniform(-0.6, 0.6, (rows, 4))
+
+
+# ---- independent model ----
+
+CASES = {
+    "nominal": ((), {}),
+    "cog_offset": (
+        [("cog_offset", "x_m", 0.03), ("cog_offset", "y_m", -0.02)],
+        {"cog": np.array([0.03, -0.02])},
+    ),
+    "load_transfer": (
+        [("load_transfer", "cog_height_m", 0.12), ("cog_offset", "x_m", 0.03)],
+        {"cog_height": 0.12, "cog": np.array([0.03, 0.0])},
+    ),
+    "supply_sag and coulomb_friction": (
+        [("supply_sag", "source_resistance_ohm", 0.1), ("coulomb_friction", "torque_nm", 0.005)],
+        {"source_resistance": 0.1, "dry": 0.005},
+    ),
+    "wheels": (
+        [
+            ("wheel_angle_error", "angle_rad", 0.06, 2),
+            ("wheel_radius_error", "scale", 1.04, 3),
+            ("wheel_distance_error", "scale", 1.05),
+        ],
+        {
+            "turned": np.array([0.0, 0.06, 0.0, 0.0]),
+            "radius": np.array([0.05, 0.05, 0.052, 0.05]),
+            "distance": 0.21,
+        },
+    ),
+    "supply_sag and current_limit": (
+        [("supply_sag", "source_resistance_ohm", 0.1), ("current_limit", "limit_a", 8.0)],
+        {"source_resistance": 0.1, "current_limit": 8.0},
+    ),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_replay_agrees_with_the_independent_model(case):
+    """To 1e-6 m, rad and rad/s over 3 s, where 1 % of mass makes more than 1e-3."""
+    effects, fields = CASES[case]
+    time = np.arange(0.0, 3.01, 0.15)
+    duty = random_duty(len(time), seed=7)
+    expected = reference.run(reference.SlipModel(**fields), time, duty, "DOP853")
+    sets = [parameter_set(effects=effects), parameter_set(base={"robot.mass_kg": 20.2})]
+    found, heavier = simulate(sets, time, duty, step_s=1e-4)
+    np.testing.assert_allclose(found[:, 4:], expected[:, 4:], rtol=0, atol=1e-6)
+    np.testing.assert_allclose(found[:, :4], expected[:, :4], rtol=0, atol=1e-4)
+    assert np.abs(heavier - expected)[:, 5:].max() > 1e-3
+
+
+def test_independent_model_does_not_depend_on_its_solver():
+    time = np.array([0.0, 0.1, 0.2, 0.3])
+    duty = random_duty(4, seed=3)
+    implicit = reference.run(reference.SlipModel(), time, duty, "Radau")
+    explicit = reference.run(reference.SlipModel(), time, duty, "DOP853")
+    np.testing.assert_allclose(implicit, explicit, rtol=0, atol=2e-8)
+
+
+def test_error_falls_with_the_fourth_power_of_the_step():
+    """Gentle commands: hard ones slip, and only far finer steps show the order."""
+    time = np.arange(0.0, 1.01, 0.1)
+    duty = random_duty(len(time), seed=5) / 3.0
+    nominal = [parameter_set()]
+    exact = simulate(nominal, time, duty, step_s=1e-5)
+    coarse, fine = (
+        np.abs(simulate(nominal, time, duty, step_s=step) - exact).max() for step in (2e-4, 1e-4)
+    )
+    assert 12.0 < coarse / fine < 20.0
+
+
+# ---- lanes ----
+
+
+def test_all_lane_widths_agree():
+    time = np.cumsum(np.random.default_rng(1).uniform(0.003, 0.008, 300))
+    duty = random_duty(300, seed=2)
+    masses = np.linspace(16.0, 24.0, 11)
+    sets = [
+        parameter_set(base={"robot.mass_kg": mass}, effects=[("cogging", "torque_nm", 0.004)])
+        for mass in masses
+    ]
+    narrow, *wider = (simulate(sets, time, duty, lanes=lanes) for lanes in (2, 4, 8))
+    assert np.ptp(narrow[:, -1, 5]) > 1e-3
+    for wide in wider:
+        np.testing.assert_allclose(wide, narrow, rtol=1e-9, atol=1e-9)
+
+
+def test_result_does_not_depend_on_the_neighbours_in_the_lanes():
+    time = np.arange(0.0, 0.5, 0.005)
+    duty = random_duty(100, seed=4)
+    alone = simulate([parameter_set()], time, duty, step_s=5e-4)[0]
+    other = parameter_set(effects=[("coulomb_friction", "torque_nm", 0.01)])
+    beside = simulate([other, parameter_set(), other], time, duty, step_s=5e-4)[1]
+    np.testing.assert_allclose(beside, alone, rtol=1e-12, atol=1e-12)
+
+
+# ---- symmetry ----
+
+
+def held(duty):
+    return np.arange(len(duty)) * 0.1, duty
+
+
+@settings(max_examples=25)
+@given(duty=DUTY, heading=ANGLE, x=st.floats(-5, 5), y=st.floats(-5, 5))
+def test_world_has_no_preferred_place_or_direction(duty, heading, x, y):
+    time, duty = held(duty)
+    start = np.zeros(14)
+    start[11:] = x, y, heading
+    here = simulate([parameter_set()], time, duty)[0]
+    there = simulate([parameter_set()], time, duty, start)[0]
+    turn = np.array([[np.cos(heading), -np.sin(heading)], [np.sin(heading), np.cos(heading)]])
+    np.testing.assert_allclose(there[:, :5], here[:, :5], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(there[:, 5:7], here[:, 5:7] @ turn.T + [x, y], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(there[:, 7], here[:, 7] + heading, rtol=0, atol=1e-9)
+
+
+# Index of the wheel that takes each wheel's place, sign of duties and shafts, signs of (turn rate,
+# x, y, heading).
+SYMMETRIES = {
+    "half turn": ([2, 3, 0, 1], 1.0, [1, -1, -1, 1]),
+    "left and right exchanged": ([3, 2, 1, 0], -1.0, [-1, 1, -1, -1]),
+    "front and rear exchanged": ([1, 0, 3, 2], -1.0, [-1, -1, 1, -1]),
+}
+
+
+@pytest.mark.parametrize("symmetry", SYMMETRIES)
+@settings(max_examples=15)
+@given(duty=DUTY)
+def test_robot_has_the_symmetry_of_its_wheels(symmetry, duty):
+    place, sense, signs = SYMMETRIES[symmetry]
+    time, duty = held(duty)
+    plain = simulate([parameter_set()], time, duty)[0]
+    image = simulate([parameter_set()], time, sense * duty[:, place])[0]
+    np.testing.assert_allclose(image[:, :4], sense * plain[:, place], rtol=0, atol=1e-8)
+    np.testing.assert_allclose(image[:, 4:], plain[:, 4:] * signs, rtol=0, atol=1e-9)
+
+
+@settings(max_examples=15)
+@given(duty=DUTY, scale=st.floats(0.5, 2.0))
+def test_equal_scale_of_all_forces_changes_nothing(duty, scale):
+    """Masses, loads (through the mass), motor torque per current: same motion if all scale."""
+    time, duty = held(duty)
+    base = {
+        "robot.mass_kg": 20.0 * scale,
+        "robot.inertia_kg_m2": 0.55 * scale,
+        "motor.inertia_kg_m2": 2.5e-5 * scale,
+        "motor.viscous_friction_nm_s": 1.5e-5 * scale,
+        "motor.torque_constant_nm_a": 0.0255 * scale,
+    }
+    plain, scaled = simulate([parameter_set(), parameter_set(base=base)], time, duty)
+    np.testing.assert_allclose(scaled, plain, rtol=1e-9, atol=1e-9)
+
+
+# ---- wrong input ----
+
+
+def test_wrong_shapes_are_refused():
+    engine = _core.Engine("robot")
+    time, command, output, start = np.arange(5.0), np.zeros((5, 4)), np.zeros((5, 8)), np.zeros(14)
+    for wrong in (
+        (time[:4], command, output, start),
+        (time, command[:4], output, start),
+        (time, command, output[:4], start),
+        (time[:1], command[:1], output[:1], start),
+        (time, command[:, :3].copy(), output, start),
+        (time, command, output[:, :7].copy(), start),
+        (time, command, output, start[:6]),
+    ):
+        with pytest.raises(ValueError):
+            engine.recording(*wrong)
+
+
+def test_wrong_parameter_and_noise_lengths_are_refused():
+    engine = _core.Engine("robot")
+    run = engine.recording(np.arange(5.0), np.zeros((5, 4)), np.zeros((5, 8)), np.zeros(14))
+    right = parameter_set(), np.ones(14), np.ones(8), np.ones(14)
+    engine.track([run], *right)
+    for place, short in enumerate(right):
+        wrong = list(right)
+        wrong[place] = short[:-1]
+        with pytest.raises(ValueError):
+            engine.track([run], *wrong)
+    with pytest.raises(ValueError):
+        engine.replays([run], engine.track([run], *right), right[0][None, :-1].copy())
+    with pytest.raises(ValueError):
+        engine.replays([run], [], right[0][None])
+
+
+def test_track_of_another_recording_is_refused():
+    """A track has one gain per row; a shorter one would be read past its end."""
+    engine = _core.Engine("robot")
+    short, long = (
+        engine.recording(np.arange(n) * 0.01, np.zeros((n, 4)), np.zeros((n, 8)), np.zeros(14))
+        for n in (3, 300)
+    )
+    values = parameter_set()
+    tracks = engine.track([short], values, np.ones(14), np.ones(8), np.ones(14))
+    with pytest.raises(ValueError):
+        engine.replays([long], tracks, values[None])
+
+
+def test_times_that_do_not_increase_are_refused():
+    engine = _core.Engine("robot")
+    for time in ([0.0, 0.1, 0.1], [0.0, 0.2, 0.1], [0.0, np.nan, 0.1]):
+        with pytest.raises(ValueError):
+            engine.recording(np.array(time), np.zeros((3, 4)), np.zeros((3, 8)), np.zeros(14))
+
+
+def test_unknown_kind_is_refused():
+    with pytest.raises(ValueError):
+        _core.Engine("boat")
+    with pytest.raises(ValueError):
+        _core.base_parameters("boat")

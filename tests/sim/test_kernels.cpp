@@ -1,0 +1,177 @@
+/* The replay kernels of all instruction sets compute what the plant of one robot computes.
+ *
+ * Lanes hold robots with different effects; the step is short enough that the stiffest of them
+ * does not cut it finer, so every kernel takes the same steps and only rounding may differ.
+ */
+#include <memory>
+
+#include "replay.h"
+#include "tests/sim/robot.h"
+
+#include <unity.h> /* last: its macro isnan() would break C++ headers */
+
+using namespace omnislip;
+
+extern "C" void setUp() {}
+extern "C" void tearDown() {}
+
+static const double kStep_s = 2.5e-4;
+static const double kWholeRun_s = 1e9;
+
+/* Unevenly sampled commands; sensors "show" zero, so errors are the negative of the outputs. */
+template <class Plant>
+static Recording recording_of(double amplitude) {
+    Recording r;
+    r.rows = 200;
+    double time_s = 0.3;
+    for (int k = 0; k < r.rows; ++k) {
+        r.time_s.push_back(time_s);
+        time_s += 0.004 + 0.002 * std::sin(2.0 * k);
+        for (int i = 0; i < Plant::kMotors; ++i) {
+            r.command.push_back(amplitude * std::sin(0.05 * k * (i + 1) + i));
+        }
+    }
+    r.output.assign(static_cast<std::size_t>(r.rows * Plant::kOutputs), 0.0);
+    r.initial_state.assign(Plant::kStates, 0.0);
+    r.initial_state[0] = 1.0;
+    return r;
+}
+
+template <class Plant>
+static Track free_running(const Recording &r) {
+    Track t;
+    t.gain.assign(static_cast<std::size_t>(r.rows * Plant::kStates * Plant::kOutputs), 0.0);
+    t.whitening.assign(static_cast<std::size_t>(r.rows * Plant::kOutputs * Plant::kOutputs), 0.0);
+    return t;
+}
+
+template <class AnyBench, class Plant>
+static std::vector<double> outputs_of(const Model<Plant> &model, const Recording &r) {
+    AnyBench bench(model);
+    std::vector<double> outputs;
+    std::copy(r.initial_state.begin(), r.initial_state.end(), bench.x.begin());
+    bench.time_s = r.time_s[0];
+    for (std::size_t k = 0; k < r.time_s.size(); ++k) {
+        double y[Plant::kOutputs];
+        bench.plant.output(bench.x.data(), r.time_s[k], y);
+        outputs.insert(outputs.end(), y, y + Plant::kOutputs);
+        if (k + 1 < r.time_s.size()) {
+            typename AnyBench::Command command;
+            std::copy_n(&r.command[k * Plant::kMotors], Plant::kMotors, command.begin());
+            bench.drive(command, r.time_s[k + 1] - r.time_s[k], kStep_s);
+            bench.time_s = r.time_s[k + 1];
+        }
+    }
+    return outputs;
+}
+
+/* One model per effect with that effect at its typical size, and a neutral one. */
+template <class Plant>
+static std::vector<Model<Plant>> one_model_per_effect() {
+    std::vector<Model<Plant>> models(kEffectCount + 1);
+    for (int wanted = 0; wanted < kEffectCount; ++wanted) {
+        Model<Plant> &model = models[static_cast<std::size_t>(wanted)];
+        model.each_slot([&](const EffectInfo &info, int index, int k, int, double &slot) {
+            if (index == wanted && (info.kinds & Plant::kKind) != 0) {
+                const ParameterInfo &p = info.parameters[k];
+                const bool unlimited = p.neutral == kUnbounded && p.typical > 0.0;
+                slot = unlimited ? p.typical : p.neutral + p.typical;
+                model.active[index] = true;
+            }
+        });
+    }
+    return models;
+}
+
+template <class Plant>
+static std::vector<double> joined(const std::vector<Model<Plant>> &models) {
+    std::vector<double> values;
+    for (const Model<Plant> &model : models) {
+        values.insert(values.end(), model.flat.begin(), model.flat.end());
+    }
+    return values;
+}
+
+/* Largest difference of kernel and scalar plant, relative to the size of the output. */
+template <class AnyBench, class Plant>
+static double worst_difference(int kind, int lanes, const std::vector<Model<Plant>> &models,
+                               const Recording &r) {
+    const std::unique_ptr<Kernel> kernel = make_kernel(kind, lanes);
+    const std::vector<double> values = joined(models);
+    const Track track = free_running<Plant>(r);
+    const std::size_t plane = static_cast<std::size_t>(r.rows * Plant::kOutputs);
+    std::vector<double> errors(models.size() * plane);
+    replays(*kernel, {&r}, {&track},
+            {values.data(), static_cast<int>(models.size()), kernel->parameters()}, kStep_s,
+            kWholeRun_s, {errors.data()});
+    double worst = 0.0;
+    for (std::size_t m = 0; m < models.size(); ++m) {
+        const std::vector<double> expected = outputs_of<AnyBench>(models[m], r);
+        for (std::size_t j = 0; j < plane; ++j) {
+            const double apart = std::abs(expected[j] + errors[m * plane + j]);
+            worst = std::max(worst, apart / (1.0 + std::abs(expected[j])));
+        }
+    }
+    return worst;
+}
+
+static void robots_in_lanes_move_as_one_robot_alone(void) {
+    const auto models = one_model_per_effect<RobotPlant<double>>();
+    const Recording r = recording_of<RobotPlant<double>>(0.5);
+    for (const int lanes : {2, 4, 8}) {
+        TEST_ASSERT_DOUBLE_WITHIN(1e-9, 0.0, worst_difference<Robot>(0, lanes, models, r));
+    }
+}
+
+static void axes_in_lanes_move_as_one_axis_alone(void) {
+    const auto models = one_model_per_effect<AxisPlant<double>>();
+    const Recording r = recording_of<AxisPlant<double>>(0.5);
+    for (const int lanes : {2, 4, 8}) {
+        TEST_ASSERT_DOUBLE_WITHIN(1e-9, 0.0, worst_difference<Axis>(1, lanes, models, r));
+    }
+}
+
+static void kernel_describes_the_plant(void) {
+    const std::unique_ptr<Kernel> robot = make_kernel(0, 8), axis = make_kernel(1, 8);
+    TEST_ASSERT_EQUAL_INT(RobotLayout::kStates, robot->states());
+    TEST_ASSERT_EQUAL_INT(RobotLayout::kBase + effect_slot_count(4), robot->parameters());
+    TEST_ASSERT_EQUAL_INT(AxisPlant<double>::kStates, axis->states());
+    TEST_ASSERT_EQUAL_INT(AxisPlant<double>::kBase + effect_slot_count(1), axis->parameters());
+    TEST_ASSERT_EQUAL_INT(2, make_kernel(0, 2)->lanes());
+}
+
+/* Transition over a row against central differences of the scalar plant. */
+static void linearised_row_is_the_slope_of_the_plant(void) {
+    const std::unique_ptr<Kernel> kernel = make_kernel(0, 8);
+    const RobotModel model = RobotModel().effect("coulomb_friction", "torque_nm", 0.005);
+    const Robot::State start = {120.0, -80.0, 60.0, -30.0, 1.0, 2.0, 3.0,
+                                4.0,   0.7,   -0.3, 1.2,   0.5, 0.6, 0.7};
+    const Robot::Command duty = {0.5, -0.2, 0.4, 0.1};
+    const auto reached = [&](std::size_t j, double offset) {
+        Robot robot(model);
+        robot.x = start;
+        robot.x[j] += offset;
+        robot.drive(duty, 0.005);
+        return robot.x;
+    };
+    double next[14], transition[14 * 14];
+    kernel->linearise(kernel->load(model.flat.data()).get(), duty.data(), 0.0, 0.005, 1e-3,
+                      start.data(), next, transition);
+    for (std::size_t j = 0; j < 14; ++j) {
+        const Robot::State up = reached(j, 1e-4), down = reached(j, -1e-4);
+        for (std::size_t i = 0; i < 14; ++i) {
+            const double slope = (up[i] - down[i]) / 2e-4;
+            TEST_ASSERT_DOUBLE_WITHIN(1e-3 * (1.0 + std::abs(slope)), slope,
+                                      transition[i * 14 + j]);
+        }
+    }
+}
+
+int main(void) {
+    UNITY_BEGIN();
+    RUN_TEST(robots_in_lanes_move_as_one_robot_alone);
+    RUN_TEST(axes_in_lanes_move_as_one_axis_alone);
+    RUN_TEST(kernel_describes_the_plant);
+    RUN_TEST(linearised_row_is_the_slope_of_the_plant);
+    return UNITY_END();
+}

@@ -1,0 +1,217 @@
+"""Is anything left that no effect of the catalogue explains?
+
+A missing term is a force, moment or torque that depends on the state. Along the filtered states of
+the final model every term of a small dictionary (equation x wheel pattern x dependence) is a known
+function of time f(t); what it would do to the innovations is linear in its size: the error d of the
+prediction obeys
+
+    e_k = -H_k d_k,     d_(k+1) = Phi_k (I - K_k H_k) d_k + f_k dt
+
+with the transition Phi, output slope H and gain K of the filter. Each term is tested like an
+effect: gain T over what the fitted parameters leave, inflation by block sums, and the gain on
+validation runs. A term that passes says where something is missing and on what it depends, not
+what it is.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import chi2
+
+from omnislip.gap.inference import Data, Fit, free_of_fitted, inflation_of
+from omnislip.gap.machine import Machine
+from omnislip.gap.noise import track_all
+from omnislip.gap.recordings import Run
+
+Array = npt.NDArray[np.float64]
+
+P_VALUE = 1e-3
+VALIDATION_SHARE = 0.75
+SLOW_RAD_S = 2.0
+
+
+@dataclass(frozen=True)
+class Term:
+    """One entry of the dictionary: which states it pushes, and how it depends on state and time."""
+
+    equation: str
+    dependence: str
+    states: tuple[int, ...]
+    shape: Callable[[Array, Array, Array, int], Array]
+    """(state (rows, n), command (rows, motors), time (rows,), pushed state) -> (rows,)"""
+
+
+@dataclass(frozen=True)
+class Leftover:
+    """A term that is missing: where, on what it depends, how surely, and its size and curve."""
+
+    equation: str
+    dependence: str
+    gain: float
+    inflation: float
+    p_value: float
+    validation_gain: float
+
+
+def dictionary(machine: Machine) -> list[Term]:
+    """Return the terms that are tried for a kind of machine."""
+    if machine.kind == "axis":
+        return [Term("axis/force", name, (0,), shape) for name, shape in SHAFT_SHAPES.items()]
+    terms = [
+        Term(equation, name, states, shape)
+        for equation, states in {
+            "every wheel/torque": (0, 1, 2, 3),
+            **{f"wheel/{i + 1}/torque": (i,) for i in range(4)},
+        }.items()
+        for name, shape in SHAFT_SHAPES.items()
+    ]
+    terms += [Term("body/moment", name, (10,), shape) for name, shape in YAW_SHAPES.items()]
+    for axis, state in (("x", 8), ("y", 9)):
+        terms += [
+            Term(f"body/force_{axis}", name, (state,), shape) for name, shape in BODY_SHAPES.items()
+        ]
+        terms += [
+            Term(f"world/force_{axis}", name, (8, 9), _in_world(axis, shape))
+            for name, shape in WORLD_SHAPES.items()
+        ]
+    return terms
+
+
+def find_leftover(data: Data, checks: Data, fitted: Fit) -> list[Leftover]:
+    """Return the terms that pass, strongest first. `checks` are runs that were not fitted."""
+    terms = dictionary(data.machine)
+    values = fitted.hypothesis.flat(data.believed)
+    columns = np.concatenate([_responses(data, run, values, terms) for run in data.runs])
+    check_columns = np.concatenate([_responses(checks, run, values, terms) for run in checks.runs])
+    check_residual = checks.residuals(values[None])[0]
+    free = free_of_fitted(fitted, columns / data.scale)
+    found = []
+    for index, term in enumerate(terms):
+        column = free[:, index : index + 1]
+        information = column.T @ column
+        if information[0, 0] <= 0:
+            continue
+        size = -float(column[:, 0] @ fitted.residual) / float(information[0, 0])
+        gain = size**2 * float(information[0, 0])
+        after = fitted.residual + size * column[:, 0]
+        inflation = inflation_of(data, column, after, information)
+        p_value = float(chi2.sf(gain / inflation, 1)) * len(terms)
+        change = check_columns[:, index] / checks.scale * size
+        gains = np.array(
+            [
+                np.sum(r**2) - np.sum((r + c) ** 2)
+                for r, c in zip(checks.per_run(check_residual), checks.per_run(change), strict=True)
+            ]
+        )
+        if p_value < P_VALUE and gains.sum() > 0 and np.mean(gains > 0) >= VALIDATION_SHARE:
+            found.append(
+                Leftover(
+                    term.equation,
+                    term.dependence,
+                    gain,
+                    inflation,
+                    min(p_value, 1.0),
+                    float(gains.sum()),
+                )
+            )
+    return sorted(found, key=lambda leftover: -leftover.gain)
+
+
+def _responses(data: Data, run: Run, values: Array, terms: Sequence[Term]) -> Array:
+    """Whitened change of the innovations per unit of each term (kept rows * outputs, terms)."""
+    engine = data.machine.engine
+    n, m, rows = engine.states, engine.outputs, len(run.t_s)
+    track = track_all(data.machine, [run], values, data.noise, keep_linear=True)[0]
+    transition = track.transition.reshape(rows, n, n)
+    slope = np.where(np.isnan(run.outputs)[:, :, None], 0.0, track.slope.reshape(rows, m, n))
+    gain, whitening = track.gain.reshape(rows, n, m), track.whitening.reshape(rows, m, m)
+    push = _pushes(track.state.reshape(rows, n), run, terms)
+    step_s = np.diff(run.t_s)
+    error = np.zeros((n, len(terms)))
+    response = np.empty((rows, m, len(terms)))
+    for k in range(rows):
+        shown = -slope[k] @ error
+        response[k] = whitening[k] @ shown
+        if k + 1 < rows:
+            error = transition[k] @ (error + gain[k] @ shown) + push[k] * step_s[k]
+    kept = data.kept_rows(run)
+    return response[kept].reshape(-1, len(terms))
+
+
+def _pushes(state: Array, run: Run, terms: Sequence[Term]) -> Array:
+    """Rates of change that a unit of each term gives to the states (rows, states, terms)."""
+    push = np.zeros((*state.shape, len(terms)))
+    time_s = run.t_s - run.t_s[0]
+    for index, term in enumerate(terms):
+        for pushed in term.states:
+            push[:, pushed, index] = term.shape(state, run.command, time_s, pushed)
+        push[:, :, index] /= max(float(np.std(push[:, :, index])), 1e-12)
+    return push
+
+
+def _shaft(function: Callable[[Array, Array], Array]) -> Callable[..., Array]:
+    return lambda x, d, t, i: function(x[:, i], d[:, i])
+
+
+SHAFT_SHAPES: dict[str, Callable[..., Array]] = {
+    "constant": _shaft(lambda w, d: np.ones_like(w)),
+    "direction of rotation": _shaft(lambda w, d: np.tanh(w / SLOW_RAD_S)),
+    "speed": _shaft(lambda w, d: w),
+    "speed squared, against it": _shaft(lambda w, d: w * np.abs(w)),
+    "speed to the fifth": _shaft(lambda w, d: (w / (np.std(w) + 1e-9)) ** 5),
+    "speed either way": _shaft(lambda w, d: np.abs(w)),
+    "command": _shaft(lambda w, d: d),
+    "command cubed": _shaft(lambda w, d: d**3),
+    "sign of the command": _shaft(lambda w, d: np.sign(d)),
+    "size of the command, against rotation": _shaft(
+        lambda w, d: np.abs(d) * np.tanh(w / SLOW_RAD_S)
+    ),
+    "time and command": lambda x, d, t, i: t * d[:, i],
+    "time and speed": lambda x, d, t, i: t * x[:, i],
+}
+
+YAW_SHAPES: dict[str, Callable[..., Array]] = {
+    "constant": lambda x, d, t, i: np.ones(len(x)),
+    "direction of turning": lambda x, d, t, i: np.tanh(x[:, 10] / 0.05),
+    "yaw rate": lambda x, d, t, i: x[:, 10],
+    "yaw rate squared, against it": lambda x, d, t, i: x[:, 10] * np.abs(x[:, 10]),
+    "speed along x": lambda x, d, t, i: x[:, 8],
+    "speed along y": lambda x, d, t, i: x[:, 9],
+    "place x": lambda x, d, t, i: x[:, 11],
+    "place y": lambda x, d, t, i: x[:, 12],
+    "time": lambda x, d, t, i: t,
+}
+
+BODY_SHAPES: dict[str, Callable[..., Array]] = {
+    "constant": lambda x, d, t, i: np.ones(len(x)),
+    "own speed": lambda x, d, t, i: x[:, i],
+    "own speed squared, against it": lambda x, d, t, i: x[:, i] * np.abs(x[:, i]),
+    "own speed cubed": lambda x, d, t, i: x[:, i] ** 3,
+    "speed across": lambda x, d, t, i: x[:, 17 - i],
+    "speed along and across": lambda x, d, t, i: x[:, 8] * x[:, 9],
+    "yaw rate": lambda x, d, t, i: x[:, 10],
+    "yaw rate and speed across": lambda x, d, t, i: x[:, 10] * x[:, 17 - i],
+    "time and speed": lambda x, d, t, i: t * x[:, i],
+}
+
+WORLD_SHAPES: dict[str, Callable[[Array, Array], Array]] = {
+    "constant": lambda x, t: np.ones(len(x)),
+    "place x": lambda x, t: x[:, 11],
+    "place y": lambda x, t: x[:, 12],
+    "wave along x": lambda x, t: np.sin(6.0 * x[:, 11]),
+    "wave along y": lambda x, t: np.sin(6.0 * x[:, 12]),
+    "time": lambda x, t: t,
+}
+
+
+def _in_world(axis: str, shape: Callable[[Array, Array], Array]) -> Callable[..., Array]:
+    """A force along a world axis, turned into the body frame."""
+
+    def pushed(x: Array, d: Array, t: Array, state: int) -> Array:
+        heading = x[:, 13] if axis == "x" else x[:, 13] - np.pi / 2
+        part = np.cos(heading) if state == 8 else -np.sin(heading)
+        return shape(x, t) * part
+
+    return pushed
