@@ -142,6 +142,9 @@ class Engine {
         Recording r;
         r.rows = static_cast<int>(rows);
         r.time_s = to_vector(time_s);
+        for (std::size_t k = 1; k < r.time_s.size(); ++k) {
+            require(r.time_s[k] > r.time_s[k - 1], "time_s must increase from row to row");
+        }
         r.command.assign(command.data(), command.data() + command.size());
         r.output.assign(output.data(), output.data() + output.size());
         r.initial_state = to_vector(initial_state);
@@ -203,6 +206,10 @@ class Engine {
                    Work &&work) const {
         check_size(values.shape(1));
         require(recordings.size() == tracks.size(), "one track per recording");
+        for (std::size_t i = 0; i < tracks.size(); ++i) {
+            require(tracks[i]->innovation.size() == recordings[i]->output.size(),
+                    "a track belongs to another recording");
+        }
         const std::size_t sets = values.shape(0);
         const std::size_t outputs = static_cast<std::size_t>(kernel_->outputs());
         std::vector<std::vector<double>> results;

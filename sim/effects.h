@@ -1185,8 +1185,8 @@ using Catalogue =
                UnevenGrip, SlipStiffnessError, GripFalloff, GripDrift, ContactShape,
                CarpetAnisotropy, SlipperyPatch, RollerFriction, RollerRipple, RollingResistance,
                LoadTransfer, DiagonalLoadBias, Payload, InertiaError, CogOffset, FloorSlope,
-               BodyDrag, QuadraticBodyDrag, TetherSpring, YawScrub, PoseLatency, PoseRotation,
-               ClockSkew, GyroBias, GyroScale, EncoderScale, EncoderDropout>;
+               BodyDrag, QuadraticBodyDrag, TetherSpring, YawScrub, PoseLatency, ClockSkew,
+               PoseRotation, GyroBias, GyroScale, EncoderScale, EncoderDropout>;
 
 constexpr int kEffectCount = static_cast<int>(std::tuple_size<Catalogue>::value);
 

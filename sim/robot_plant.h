@@ -170,7 +170,9 @@ class RobotPlant : public RobotLayout {
                 damping * ratio * ratio +
                 c_.torque_constant_nm_a[i] * c_.back_emf_constant_v_s_rad[i] / c_.resistance_ohm +
                 c_.viscous_friction_nm_s[i] + shaft_damping_[i];
-            const S body = S(4.0) * damping / c_.mass_kg;
+            const S &lever = c_.wheel_distance_m;
+            const S body =
+                S(4.0) * damping * max(S(1.0) / c_.mass_kg, lever * lever / c_.inertia_kg_m2);
             rate = max(rate, shaft / c_.shaft_inertia_kg_m2[i] + body);
         }
         double worst = 0.0;
@@ -251,9 +253,10 @@ class RobotPlant : public RobotLayout {
             shaft_damping_[i] = S(0.0);
         }
         estimate_shaft_damping();
-        load_moves_ = false;
+        load_moves_ = bus_sags_ = false;
         for (int i = 0; i < LaneCount<S>::value; ++i) {
             load_moves_ = load_moves_ || lane(c_.cog_height_m, i) != 0.0;
+            bus_sags_ = bus_sags_ || lane(c_.source_resistance_ohm, i) != 0.0;
         }
     }
 
@@ -316,9 +319,8 @@ class RobotPlant : public RobotLayout {
         }
     }
 
-    /* V = V0 - r sum(i d) with i linear in V has a closed form. A limit or a freewheeling driver
-     * bends i(V): then the currents that flow replace the linear ones and V follows, three passes.
-     */
+    /* V = V0 - r sum(i d). With i linear in V the balance has a closed form. A limit or a
+     * freewheeling driver bends i(V) at corners: Newton's method with the slope of the piece. */
     void balance_bus(const S *speed, const S *driven, const S &open_circuit_v,
                      RobotInternals<S> &in) const {
         const S &r = c_.source_resistance_ohm;
@@ -332,21 +334,27 @@ class RobotPlant : public RobotLayout {
         armature(speed, driven, in);
         if (!(hooks_ & kCurrent))
             return;
-        S linear[4];
-        for (int pass = 0;; ++pass) {
-            S shortfall = S(0.0);
-            for (int i = 0; i < 4; ++i)
-                linear[i] = in.current_a[i];
-            limit_currents(speed, driven, in);
-            if (pass == 3)
-                return;
-            for (int i = 0; i < 4; ++i) {
-                shortfall = shortfall + (linear[i] - in.current_a[i]) * driven[i];
-            }
-            in.bus_v =
-                (open_circuit_v + r * (emf_current + shortfall)) / (S(1.0) + r * conductance);
+        limit_currents(speed, driven, in);
+        if (!bus_sags_)
+            return;
+        for (int pass = 0; pass < 4; ++pass) {
+            const S probe_v = S(1e-3), bus_v = in.bus_v;
+            const S drawn = drawn_current(driven, in);
+            in.bus_v = bus_v + probe_v;
             armature(speed, driven, in);
+            limit_currents(speed, driven, in);
+            const S slope = (drawn_current(driven, in) - drawn) / probe_v;
+            in.bus_v = bus_v + (open_circuit_v - r * drawn - bus_v) / (S(1.0) + r * slope);
+            armature(speed, driven, in);
+            limit_currents(speed, driven, in);
         }
+    }
+
+    static S drawn_current(const S *driven, const RobotInternals<S> &in) {
+        S drawn = S(0.0);
+        for (int i = 0; i < 4; ++i)
+            drawn = drawn + in.current_a[i] * driven[i];
+        return drawn;
     }
 
     void armature(const S *speed, const S *driven, RobotInternals<S> &in) const {
@@ -459,6 +467,8 @@ class RobotPlant : public RobotLayout {
         BodyTerm<S, 4> term;
         term.force_x_n = term.force_y_n = term.torque_nm = S(0.0);
         term.acceleration_x_m_s2 = term.acceleration_y_m_s2 = S(0.0);
+        term.cos_theta = cos_theta;
+        term.sin_theta = sin_theta;
         for (int i = 0; i < 4; ++i)
             term.force_along_drive_per_load[i] = S(0.0);
         if (!(hooks_ & kBody))
@@ -470,16 +480,10 @@ class RobotPlant : public RobotLayout {
         term.omega_rad_s = x[kVelocity + 2];
         term.x_m = x[kPose];
         term.y_m = x[kPose + 1];
-        term.cos_theta = cos_theta;
-        term.sin_theta = sin_theta;
         apply(kBody, [&](auto effect, int slot) {
             using E = decltype(effect);
             E::body(term, values<E>(slot));
         });
-        const S &ax = term.acceleration_x_m_s2;
-        const S &ay = term.acceleration_y_m_s2;
-        term.force_x_n = term.force_x_n + c_.mass_kg * (cos_theta * ax + sin_theta * ay);
-        term.force_y_n = term.force_y_n + c_.mass_kg * (cos_theta * ay - sin_theta * ax);
         return term;
     }
 
@@ -503,10 +507,13 @@ class RobotPlant : public RobotLayout {
             moment = moment + drive * drive_lever_[i] + in.roller_force_n[i] * roller_lever_[i];
         }
         moment = moment - (c_.cog_x_m * fy - c_.cog_y_m * fx) + external.torque_nm;
-        fx = fx + external.force_x_n;
-        fy = fy + external.force_y_n;
-        in.external_force_x_n = external.force_x_n;
-        in.external_force_y_n = external.force_y_n;
+        const S &ax = external.acceleration_x_m_s2, &ay = external.acceleration_y_m_s2;
+        in.external_force_x_n =
+            external.force_x_n + c_.mass_kg * (external.cos_theta * ax + external.sin_theta * ay);
+        in.external_force_y_n =
+            external.force_y_n + c_.mass_kg * (external.cos_theta * ay - external.sin_theta * ax);
+        fx = fx + in.external_force_x_n;
+        fy = fy + in.external_force_y_n;
         in.external_torque_nm = external.torque_nm;
 
         const S &omega = x[kVelocity + 2];
@@ -580,7 +587,7 @@ class RobotPlant : public RobotLayout {
     const S *effects_ = nullptr;
     bool active_[kEffectCount] = {};
     unsigned hooks_ = 0;
-    bool load_moves_ = false;
+    bool load_moves_ = false, bus_sags_ = false;
 };
 
 }  // namespace omnislip

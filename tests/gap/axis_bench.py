@@ -6,7 +6,6 @@ integrated with 0.1 ms (Heun), far finer than the rows of 5 ms. Position is read
 The noise has the form that the predictor assumes, so its variances are known.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -35,17 +34,19 @@ class Bench:
     dead_zone_v: float = 0.0
     viscous_n_s_m: float = VISCOUS_N_S_M
     mass_kg: float = MASS_KG
-    fifth_n: float = 0.0
-    """Force at 1 m/s of a drag that grows with the fifth power of the speed."""
+    quadratic_n: float = 0.0
+    """Force at 1 m/s of a drag that grows with the square of the speed."""
+    ageing_n_m: float = 0.0
+    """Viscous friction per second of running: an effect of no catalogue."""
 
 
 @numba.njit(cache=False)
-def _acceleration(v, u, c):
+def _acceleration(t_s, v, u, c):
     forward = c[1] + c[2] * v
     smooth = np.tanh(v / SLOW_M_S)
     driven = np.sign(u) * max(abs(u) - c[3], 0.0)
     dry = c[0] * smooth + forward * smooth * (1.0 + smooth) / 2.0
-    return (GAIN_N_V * driven - c[4] * v - dry - c[6] * v**5) / c[5]
+    return (GAIN_N_V * driven - c[4] * v - dry - c[6] * t_s * v - c[7] * v * abs(v)) / c[5]
 
 
 @numba.njit(cache=False)
@@ -57,8 +58,8 @@ def _integrate(command, pushes, constants):
         place[row] = x
         for k in range(fine):
             v += pushes[row, k]
-            first = _acceleration(v, command[row], constants)
-            second = _acceleration(v + FINE_S * first, command[row], constants)
+            first = _acceleration(row * ROW_S, v, command[row], constants)
+            second = _acceleration(row * ROW_S, v + FINE_S * first, command[row], constants)
             x += FINE_S * (v + FINE_S * first / 2.0)
             v += FINE_S * (first + second) / 2.0
     return place
@@ -86,7 +87,8 @@ def make_log(bench: Bench, seed: int, duration_s: float = 5.0, noise: float = 1.
             bench.dead_zone_v,
             bench.viscous_n_s_m,
             bench.mass_kg,
-            bench.fifth_n,
+            bench.ageing_n_m,
+            bench.quadratic_n,
         ]
     )
     place = _integrate(command, pushes, constants)
@@ -135,6 +137,3 @@ def true_noise() -> Noise:
 
 def silent(text: str) -> None:
     """Progress that nobody reads."""
-
-
-Progress = Callable[[str], None]

@@ -16,7 +16,7 @@ from omnislip.files import write_text
 from omnislip.gap.inference import prior_penalty
 from omnislip.gap.inverse import relative_force_error
 from omnislip.gap.machine import Candidate, Machine
-from omnislip.gap.metrics import GapTable, Replays, channel_rmse, gap_table, replay_all
+from omnislip.gap.metrics import REPEATED, GapTable, Replays, channel_rmse, gap_table, replay_all
 from omnislip.gap.recordings import Run, make_run
 from omnislip.gap.search import Outcome, Selected, search
 from omnislip.gap.where import Map, Place, describe, map_gap
@@ -30,6 +30,11 @@ RUNS_TO_HOLD_OUT_WHOLE = 5
 UNKNOWN_SHARE = 0.2
 """A leftover term that gains more than this share of the named effects makes the verdict unknown:
 the names are right in place perhaps, but wrong in shape."""
+EXPLAINED = 0.9
+LEAST_EXCESS = 0.5
+"""Excess of the square error, in noise floors, that counts as something left."""
+SURE = 3.0
+"""Standard errors by which an excess has to stand out."""
 LEAST_TIME_S = 3.0
 LEAST_TRAVEL = 20.0
 """Motion, in steps of the position sensor, below which nothing can be learned."""
@@ -92,15 +97,16 @@ def find_gap(
     believed = machine.believed
     rungs = [fitted.hypothesis.flat(believed) for fitted in outcome.ladder]
     refit, after = rungs[0], rungs[-1]
-    replays = replay_all(machine, split.held_out, outcome.data.noise, [believed, refit, after])
-    table = gap_table(replays)
     fitted = [*split.fitting, *split.validation]
+    models = [believed, refit, after]
+    replays = replay_all(machine, split.held_out, outcome.data.noise, models)
+    table = gap_table(replays, replay_all(machine, fitted, outcome.data.noise, models))
     steps = _steps(machine, outcome, fitted, split.held_out, [believed, *rungs])
     gap_map = map_gap(
         machine, fitted, outcome.data.noise, refit, after if outcome.selected else None
     )
     places = describe(fitted, gap_map) if outcome.selected else []
-    verdict = _verdict(outcome)
+    verdict = _verdict(outcome, table)
     return Findings(
         verdict,
         _sentence(verdict, machine, outcome, table),
@@ -117,12 +123,27 @@ def find_gap(
     )
 
 
-def _verdict(outcome: Outcome) -> str:
-    """Name effects only if they explain most of what any term could."""
+def _verdict(outcome: Outcome, table: GapTable) -> str:
+    """Name effects only if they explain what is to be explained."""
     named = sum(s.evidence.gain for s in outcome.selected)
-    if outcome.leftover and outcome.leftover[0].gain > UNKNOWN_SHARE * named:
+    better_term = bool(outcome.leftover) and outcome.leftover[0].gain > UNKNOWN_SHARE * named
+    if better_term or _much_is_left(table):
         return "unknown_effect"
     return "effect_found" if outcome.selected else "no_gap"
+
+
+def _much_is_left(table: GapTable) -> bool:
+    """Whether replays of held-out runs stay clearly above the floor.
+
+    With effects: they surely close less than `EXPLAINED` of the gap. Without: against repeated
+    manoeuvres only, for the predictor's own noise takes a gap that nothing explains for chance.
+    """
+    left, closed = table.left, table.closed
+    if left.excess < LEAST_EXCESS or left.excess < SURE * left.standard_error:
+        return False
+    if closed.high is not None and closed.value != 0.0:
+        return closed.high < EXPLAINED
+    return table.floor_source == REPEATED
 
 
 def _steps(
@@ -237,11 +258,11 @@ def _sentence(verdict: str, machine: Machine, outcome: Outcome, table: GapTable)
         return "No missing effect: the believed model explains these logs within its tolerances."
     parts = [_effect_words(machine, s) for s in outcome.selected]
     if verdict == "unknown_effect":
-        term = outcome.leftover[0]
-        text = (
-            f"Something is missing that is none of the known effects: {term.equation}, depending on"
-            f" {term.dependence}."
-        )
+        text = "Something is missing that is none of the known effects"
+        if outcome.leftover:
+            term = outcome.leftover[0]
+            text += f": {term.equation}, depending on {term.dependence}"
+        text += "."
         return text + (f" Nearest known: {'; '.join(parts)}." if parts else "")
     text = "Missing: " + "; ".join(parts) + "."
     closed = table.closed

@@ -27,6 +27,8 @@ Array = npt.NDArray[np.float64]
 WINDOW_S = 1.0
 SETTLE_S = 0.25
 BOOTSTRAPS = 2000
+PREDICTED, REPEATED = "the predictor's noise", "repeated manoeuvres"
+"""Where a noise floor comes from."""
 SAME_MANOEUVRE = 0.98
 """Correlation of the commands from which on two runs count as a repetition."""
 
@@ -52,6 +54,14 @@ class Closed:
 
 
 @dataclass(frozen=True)
+class Left:
+    """Mean excess of the square error of the last model, in floors, and its standard error."""
+
+    excess: float
+    standard_error: float
+
+
+@dataclass(frozen=True)
 class GapTable:
     """RMSE per channel in the log's units: rows of `rmse` are the models, columns the channels."""
 
@@ -60,6 +70,7 @@ class GapTable:
     floor: Array
     floor_source: str
     closed: Closed
+    left: Left
     runs: tuple[str, ...]
 
 
@@ -87,24 +98,37 @@ def replay_all(
     return replays
 
 
-def gap_table(replays: Sequence[Replays]) -> GapTable:
-    """Summarise replays whose first three models are believed, refit and after."""
+def gap_table(replays: Sequence[Replays], others: Sequence[Replays] = ()) -> GapTable:
+    """Summarise replays whose first three models are believed, refit and after.
+
+    `others` are replays of runs that do not count but may repeat a manoeuvre of those that do.
+    """
     run = replays[0].run
     seen = [c for c in range(len(run.channels)) if any(_sampled(r, c) for r in replays)]
     moments = np.stack([_moments(r) for r in replays])[:, :, seen]
-    repeated = _floor_from_repetitions(replays)
+    repeated = _floor_from_repetitions([*replays, *others])
     estimated = np.nanmean([_mean_floor(r) for r in replays], axis=0)
     floor = (estimated if repeated is None else repeated)[seen]
-    source = "the predictor's noise" if repeated is None else "repeated manoeuvres"
+    source = PREDICTED if repeated is None else REPEATED
     rmse = np.sqrt(np.nanmean(moments, axis=0))
+    left = left_over(replays, seen, floor)
     return GapTable(
         tuple(run.channels[c] for c in seen),
         rmse,
         np.sqrt(floor),
         source,
         closed_fraction(replays, seen, floor),
+        left,
         tuple(r.run.name for r in replays),
     )
+
+
+def left_over(replays: Sequence[Replays], seen: Sequence[int], floor: Array) -> Left:
+    """Return the excess that the last model leaves, over the windows of one second."""
+    windows = np.concatenate([_window_moments(r) for r in replays])[:, -1, seen]
+    excess = np.nanmean(windows / floor - 1.0, axis=1)
+    error = float(np.std(excess) / np.sqrt(max(len(excess) - 1, 1)))
+    return Left(float(np.mean(excess)), error)
 
 
 def channel_rmse(replays: Sequence[Replays]) -> dict[str, Array]:

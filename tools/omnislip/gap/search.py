@@ -293,10 +293,13 @@ def _try(
     found: list[tuple[Trial, Fit]] = []
     for candidate, fitted, evidence in results:
         gains = _validation_gains(checks, current.hypothesis, fitted.hypothesis)
+        values = fitted.hypothesis.values_of(len(current.hypothesis.effects))
+        absent = _neutral(candidate, data.machine, {})
         reason, passed = _verdict(evidence, gains, tried, gained)
+        if passed and not _differs(candidate, values - absent, evidence):
+            reason, passed = "its size cannot be told from none beside the other parameters", False
         if passed and any(trial.accepted for trial, _ in found):
             reason, passed = f"explains less than {found[0][0].candidate.name}", False
-        values = fitted.hypothesis.values_of(len(current.hypothesis.effects))
         gain = float(np.sum(gains))
         found.append((Trial(step, candidate, values, evidence, gain, reason, passed), fitted))
     return found
@@ -340,6 +343,15 @@ def _verdict(evidence: Evidence, gains: Array, tried: int, gained: float) -> tup
     if evidence.gain < LEAST_SHARE * gained:
         return "real perhaps, but under 1 % of what was found", False
     return "explains more than any other effect", True
+
+
+def _differs(candidate: Candidate, sizes: Array, evidence: Evidence) -> bool:
+    """Whether any size is two standard deviations from none, all other parameters left free."""
+    deviations = np.sqrt(np.maximum(np.diag(evidence.covariance), 0.0))
+    return any(
+        not np.isfinite(sizes[i]) or abs(sizes[i]) > 2.0 * deviations[i]
+        for i in candidate.amplitudes
+    )
 
 
 def _extend(machine: Machine, data: Data, fitted: Fit) -> Fit:

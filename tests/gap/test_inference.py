@@ -1,0 +1,211 @@
+"""The fit and its uncertainty on axes whose answer is known.
+
+Viscous friction under white force noise and white position noise is the linear Gaussian case of the
+filter: estimates scatter as their covariance says, and 95 % intervals hold the truth 95 times in
+100. Coverage of n seeds is judged by its binomial spread.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from axis_bench import (
+    VISCOUS_N_S_M,
+    Bench,
+    make_log,
+    make_machine,
+    make_runs,
+    multisine,
+    true_noise,
+)
+from omnislip.gap.inference import (
+    Data,
+    Hypothesis,
+    at_bound,
+    fit,
+    free_of_fitted,
+    objective,
+    prior_penalty,
+    weigh,
+)
+from omnislip.gap.noise import track_all, tune_noise
+from omnislip.gap.recordings import make_run
+from scipy.stats import binom, chi2, kstest
+
+SEEDS = 60
+CONFIDENCE = 1.959964
+
+
+@pytest.fixture(scope="module")
+def exact(tmp_path_factory):
+    """An axis whose keys are exact, so that only the effect is fitted."""
+    return make_machine(tmp_path_factory.mktemp("exact"), tolerance=0.0)
+
+
+def candidate(machine, name):
+    return next(c for c in machine.candidates() if c.effect == name)
+
+
+def without_effects(machine):
+    base = tuple(machine.base_parameters())
+    return Hypothesis(base, (), np.array([machine.believed[p.places[0]] for p in base]))
+
+
+def estimate(machine, log, effect, start):
+    """Fit and evidence of one effect on one log with known noise."""
+    data = Data(machine, [make_run(machine, log)], true_noise(), machine.believed)
+    believed = fit(data, without_effects(machine)) if machine.base_parameters() else None
+    with_effect = without_effects(machine).with_effect(candidate(machine, effect), [start])
+    fitted = fit(data, with_effect)
+    before = (
+        believed.objective
+        if believed
+        else float(np.sum(data.residuals(machine.believed[None]) ** 2))
+    )
+    return fitted, weigh(data, before, fitted, 0)
+
+
+def scores(machine, bench, effect, start, truth):
+    """Estimates and their standard deviations over the seeds."""
+    found = [estimate(machine, make_log(bench, seed), effect, start) for seed in range(SEEDS)]
+    values = np.array([fitted.hypothesis.values_of(0)[0] for fitted, _ in found])
+    deviations = np.array([np.sqrt(evidence.covariance[0, 0]) for _, evidence in found])
+    return values - truth, deviations
+
+
+def assert_intervals_are_honest(errors, deviations):
+    """Not too narrow (coverage), not too wide (scatter against what is claimed), not off."""
+    covered = int(np.sum(np.abs(errors) <= CONFIDENCE * deviations))
+    assert covered >= binom.ppf(1e-3, SEEDS, 0.95)
+    claimed = np.sqrt(np.mean(deviations**2))
+    # The ratio of variances has a chi-squared law; inflation only widens, by up to a half.
+    low, high = chi2.ppf([1e-3, 1 - 1e-3], SEEDS) / SEEDS
+    assert 0.5 * low < np.mean(errors**2) / claimed**2 < high
+    assert abs(errors.mean()) < 3.3 * claimed / np.sqrt(SEEDS)
+
+
+def test_viscous_friction_is_found_within_its_interval(exact):
+    bench = Bench(viscous_n_s_m=VISCOUS_N_S_M + 1.0)
+    assert_intervals_are_honest(*scores(exact, bench, "viscous_friction_error", 0.1, 1.0))
+
+
+def test_coulomb_friction_is_found_within_its_interval(exact):
+    assert_intervals_are_honest(*scores(exact, Bench(coulomb_n=1.0), "coulomb_friction", 0.1, 1.0))
+
+
+def test_a_true_null_gives_small_evidence(exact):
+    """Over 20 data sets the p-values of an effect that is not there are spread like chance.
+
+    Inflation only makes them larger, so only small ones would be wrong.
+    """
+    p_values = [
+        estimate(exact, make_log(Bench(), seed), "viscous_friction_error", 0.1)[1].p_value
+        for seed in range(100, 120)
+    ]
+    assert np.min(p_values) > 1e-3 / 20
+    assert kstest(p_values, "uniform", alternative="greater").pvalue > 1e-3
+    assert np.max(p_values) > 0.3  # a test that never says "chance" would be no test
+
+
+def test_noise_is_tuned_to_what_it_is(exact):
+    """Within 10 % for the position noise and 25 % for the force noise on 24 s."""
+    runs = make_runs(exact, Bench(), range(5))
+    noise = tune_noise(exact, runs, exact.believed)
+    truth = true_noise()
+    assert noise.output[0] / truth.output[0] == pytest.approx(1.0, abs=0.1)
+    assert noise.process[0] / truth.process[0] == pytest.approx(1.0, abs=0.25)
+
+
+def test_innovations_of_the_true_model_are_white_with_unit_variance(exact):
+    runs = make_runs(exact, Bench(), range(5))
+    data = Data(exact, runs, true_noise(), exact.believed)
+    residual = data.residuals(exact.believed[None])[0]
+    sigma = 1 / np.sqrt(residual.size)
+    assert data.scale == pytest.approx(1.0, abs=5 * sigma)
+    for lag in (1, 2, 5, 20):
+        assert abs(np.mean(residual[lag:] * residual[:-lag])) < 5 * sigma
+
+
+def test_track_of_the_true_model_is_the_most_likely(exact):
+    runs = make_runs(exact, Bench(), range(2))
+    viscous = exact.place("viscous_friction_error", "viscous_friction_nm_s", None)
+
+    def likelihood(extra):
+        values = exact.believed.copy()
+        values[list(viscous)] = extra
+        return sum(t.log_likelihood for t in track_all(exact, runs, values, true_noise()))
+
+    assert likelihood(0.0) > max(likelihood(-2.0), likelihood(2.0)) + 5
+
+
+# ---- believed keys ----
+
+
+@pytest.fixture(scope="module")
+def believed(tmp_path_factory):
+    """An axis whose keys are believed within 2 %."""
+    return make_machine(tmp_path_factory.mktemp("believed"))
+
+
+@pytest.mark.parametrize("mass_kg", [10.1, 11.5, 8.0])
+def test_keys_stay_within_two_tolerances(believed, mass_kg):
+    data = Data(
+        believed,
+        make_runs(believed, Bench(mass_kg=mass_kg), range(2)),
+        true_noise(),
+        believed.believed,
+    )
+    fitted = fit(data, without_effects(believed))
+    z = prior_penalty(fitted.hypothesis, believed.believed, fitted.hypothesis.x)
+    assert np.abs(z).max() <= 2 + 1e-9
+    assert np.sign(z[0]) == np.sign(mass_kg - 10.0)
+    assert at_bound(fitted, 0) == (abs(mass_kg / 10.0 - 1) > 0.04)
+
+
+def test_the_fit_is_where_the_objective_is_least(believed):
+    data = Data(
+        believed,
+        make_runs(believed, Bench(mass_kg=10.1), range(2)),
+        true_noise(),
+        believed.believed,
+    )
+    fitted = fit(data, without_effects(believed))
+    hypothesis, x = fitted.hypothesis, fitted.hypothesis.x
+    scale = np.array([p.scale for p in hypothesis.base])
+    around = np.vstack([x + sign * np.diag(0.2 * scale) for sign in (-1, 1)])
+    assert np.abs(prior_penalty(hypothesis, believed.believed, x)).max() < 1.8
+    assert objective(data, hypothesis, around).min() > fitted.objective
+
+
+def test_what_the_keys_explain_is_taken_out(believed):
+    data = Data(believed, make_runs(believed, Bench(), range(2)), true_noise(), believed.believed)
+    fitted = fit(data, without_effects(believed))
+    own = fitted.jacobian[:, :1]
+    rng = np.random.default_rng(1)
+    other = rng.standard_normal((len(own), 1))
+    left = np.linalg.norm(free_of_fitted(fitted, own)) / np.linalg.norm(own)
+    kept = np.linalg.norm(free_of_fitted(fitted, other)) / np.linalg.norm(other)
+    # A key explains itself but for its prior: 1 / (1 + information).
+    information = float(own[:, 0] @ own[:, 0])
+    assert left < 2 / np.sqrt(information)
+    assert kept > 0.99
+
+
+# ---- hypotheses as values ----
+
+
+def test_hypotheses_grow_and_shrink(exact):
+    dead_zone, coulomb = (candidate(exact, name) for name in ("dead_zone", "coulomb_friction"))
+    both = without_effects(exact).with_effect(dead_zone, [0.2]).with_effect(coulomb, [1.5])
+    assert both.values_of(1) == pytest.approx([1.5])
+    assert both.without(0).values_of(0) == pytest.approx([1.5])
+    flat = both.flat(exact.believed)
+    assert flat[list(exact.place("dead_zone", "duty", None))] == pytest.approx(0.2)
+    changed = np.flatnonzero(flat != exact.believed)
+    assert len(changed) == 2
+    assert replace(both, effects=()).parameters == ()
+
+
+def test_commands_of_the_bench_reverse_and_rest():
+    command = multisine(np.random.default_rng(1), 1000)
+    assert command.min() < -1 < 1 < command.max()

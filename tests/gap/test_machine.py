@@ -1,0 +1,221 @@
+"""A model file as a point of the engine's parameter space: every key, every effect, every wheel."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from axis_bench import MASS_KG, make_machine, model_text
+from omnislip import _core
+from omnislip.errors import InputError
+from omnislip.gap.machine import AXIS_KEYS, Machine
+from omnislip.model_file import NOMINAL_ROBOT, Effect, read_model, write_model
+
+ROBOT = Machine(read_model(NOMINAL_ROBOT))
+ROBOT_KEYS = [p["name"] for p in _core.base_parameters("robot")]
+CATALOGUE = {entry["name"]: entry for entry in _core.effects()}
+ROBOT_EFFECTS = [e for e in CATALOGUE.values() if "robot" in e["kinds"]]
+AXIS_EFFECTS = [e for e in CATALOGUE.values() if "axis" in e["kinds"]]
+ROTARY = """[model]
+kind = "axis"
+[axis]
+inertia_kg_m2 = 0.02
+input_gain_nm_a = 1.5
+back_emf_nm_s_rad = 0.3
+viscous_friction_nm_s_rad = 0.04
+pendulum_mass_kg = 0.5
+pendulum_length_m = 0.15
+gravity_m_s2 = 9.8
+"""
+
+
+def names_of(kind):
+    return [p["name"] for p in _core.base_parameters(kind)]
+
+
+@pytest.mark.parametrize("key", ROBOT_KEYS)
+def test_every_key_of_the_robot_stands_in_its_place(key):
+    plain, _, number = key.partition("[")
+    values = dict(ROBOT.model.values)
+    changed = np.array(values[plain], float)
+    changed[(int(number[:-1]),) if number else ()] += 0.25
+    values[plain] = changed.tolist()
+    found = Machine(dataclasses.replace(ROBOT.model, values=values)).believed
+    place = ROBOT_KEYS.index(key)
+    np.testing.assert_array_equal(np.flatnonzero(found != ROBOT.believed), [place])
+    assert found[place] - ROBOT.believed[place] == pytest.approx(0.25)
+
+
+def test_places_cover_the_whole_vector_once():
+    taken = list(range(len(ROBOT_KEYS)))
+    for entry in CATALOGUE.values():
+        for parameter in entry["parameters"]:
+            taken += ROBOT.place(entry["name"], parameter["name"], None)
+    assert sorted(taken) == list(range(ROBOT.engine.parameters))
+
+
+@pytest.mark.parametrize("entry", ROBOT_EFFECTS, ids=lambda entry: entry["name"])
+def test_an_effect_of_the_model_file_moves_its_own_places_only(entry):
+    for number, parameter in enumerate(entry["parameters"]):
+        wheel = {"single": 3}.get(entry["scope"])
+        effect = Effect(entry["name"], {parameter["name"]: 0.77}, wheel)
+        machine = Machine(dataclasses.replace(ROBOT.model, effects=[effect]))
+        places = ROBOT.place(entry["name"], parameter["name"], wheel)
+        others = np.setdiff1d(np.arange(ROBOT.engine.parameters), places)
+        np.testing.assert_array_equal(machine.believed[list(places)], 0.77, err_msg=str(number))
+        np.testing.assert_array_equal(machine.believed[others], ROBOT.believed[others])
+
+
+def test_one_wheel_is_one_of_the_four_places_of_all():
+    every = ROBOT.place("wheel_radius_error", "scale", None)
+    assert [ROBOT.place("wheel_radius_error", "scale", w) for w in (1, 2, 3, 4)] == [
+        (place,) for place in every
+    ]
+    assert len(ROBOT.place("payload", "mass_kg", None)) == 1
+
+
+def test_a_wheel_radius_on_one_wheel_turns_that_wheels_rim():
+    """The engine agrees on which wheel is which: its shaft is freed of load by a smaller radius."""
+    machine = ROBOT
+    values = machine.believed.copy()
+    values[list(machine.place("wheel_radius_error", "scale", 3))] = 0.5
+    state = np.zeros((1, 14))
+    state[0, 2] = 100.0
+    command = np.zeros((1, 4))
+    plain, small = (
+        machine.engine.derivatives(v, state, command) for v in (machine.believed, values)
+    )
+    changed = np.abs(small - plain)[0, :4] > 1e-6
+    np.testing.assert_array_equal(changed, [False, False, True, False])
+
+
+def test_candidates_are_the_catalogue_wheel_by_wheel():
+    names = [candidate.name for candidate in ROBOT.candidates()]
+    counts = {"whole": 1, "common": 1, "single": 4, "common or single": 5}
+    assert len(names) == len(set(names)) == sum(counts[e["scope"]] for e in ROBOT_EFFECTS)
+    assert "weak_motor (wheel 3)" in names
+    assert "weak_motor" not in names
+
+
+def test_candidates_leave_out_what_the_model_has():
+    model = dataclasses.replace(ROBOT.model, effects=[Effect("weak_motor", {"scale": 0.9}, 3)])
+    names = [candidate.name for candidate in Machine(model).candidates()]
+    assert "weak_motor (wheel 3)" not in names
+    assert "weak_motor (wheel 2)" in names
+
+
+def test_every_candidate_has_a_size_to_look_for_within_its_bounds():
+    for candidate in ROBOT.candidates():
+        assert candidate.amplitudes
+        for p in candidate.parameters:
+            assert p.scale > 0
+            assert p.low < p.high
+
+
+def test_keys_move_by_two_tolerances_and_exact_ones_not_at_all():
+    base = {p.label: p for p in ROBOT.base_parameters()}
+    radius = base["robot.wheel_radius_m"]
+    assert (radius.low, radius.high) == pytest.approx((0.05 * 0.996, 0.05 * 1.004))
+    assert radius.scale == pytest.approx(0.05 * 0.002)
+    assert not {"robot.wheel_angles_deg", "motor.gear_ratio", "contact.gravity_m_s2"} & set(base)
+    assert "encoder.counts_per_rev" not in base
+
+
+def test_a_key_of_tolerance_zero_is_exact(tmp_path):
+    assert make_machine(tmp_path, tolerance=0.0).base_parameters() == []
+
+
+# ---- axes ----
+
+
+def rotary(tmp_path):
+    path = tmp_path / "rotary.toml"
+    path.write_text(ROTARY)
+    return Machine(read_model(path))
+
+
+def test_every_key_of_an_axis_stands_in_its_place(tmp_path):
+    machine = rotary(tmp_path)
+    names = names_of("axis")
+    for key, value in machine.model.values.items():
+        place = AXIS_KEYS.get(key.removeprefix("axis."), "axis.input_gain")
+        assert machine.believed[names.index(place)] == value
+
+
+def test_a_translating_axis_speaks_of_newtons(tmp_path):
+    machine = make_machine(tmp_path)
+    assert machine.linear
+    assert machine.file_parameter("torque_nm") == "force_n"
+    assert machine.unit("coulomb_friction", "torque_nm") == "N"
+    assert machine.unit("asymmetric_friction", "viscous_nm_s") == "N s/m"
+
+
+def test_a_turning_axis_speaks_of_newton_metres(tmp_path):
+    machine = rotary(tmp_path)
+    assert not machine.linear
+    assert machine.file_parameter("torque_nm") == "torque_nm"
+    assert (
+        machine.unit("coulomb_friction", "torque_nm")
+        == CATALOGUE["coulomb_friction"]["parameters"][0]["unit"]
+    )
+
+
+def test_gap_find_does_not_take_odometry_models(tmp_path):
+    path = tmp_path / "odometry.toml"
+    path.write_text(
+        '[model]\nkind = "odometry"\n[odometry]\nwheel_radius_m = 0.03\nwheel_distance_m = 0.1\n'
+        "wheel_angles_deg = [0.0, 120.0, 240.0]\ncounts_per_rev = 1000\n"
+    )
+    with pytest.raises(InputError, match=r"odometry\.toml.*odometry"):
+        Machine(read_model(path))
+
+
+# ---- the amended model ----
+
+
+def amended(machine, entry, tmp_path):
+    """The model with one key 1 % up and the effect at 0.3, after a trip through its file."""
+    effect = Effect(
+        entry["name"],
+        {machine.file_parameter(p["name"]): 0.3 for p in entry["parameters"]},
+        {"single": 2}.get(entry["scope"]) if machine.kind == "robot" else None,
+    )
+    key = "robot.mass_kg" if machine.kind == "robot" else next(iter(machine.model.values))
+    path = tmp_path / "amended.toml"
+    write_model(machine.amended_model({key: 1.01}, [effect]), path)
+    return key, effect, Machine(read_model(path))
+
+
+@pytest.mark.parametrize("entry", ROBOT_EFFECTS, ids=lambda entry: entry["name"])
+def test_amended_robot_comes_back_from_its_file(entry, tmp_path):
+    key, effect, again = amended(ROBOT, entry, tmp_path)
+    assert again.model.effects == [effect]
+    assert again.model.tolerance == ROBOT.model.tolerance
+    expected = ROBOT.believed.copy()
+    expected[ROBOT_KEYS.index(key)] *= 1.01
+    for parameter in entry["parameters"]:
+        expected[list(ROBOT.place(entry["name"], parameter["name"], effect.wheel))] = 0.3
+    np.testing.assert_allclose(again.believed, expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("entry", AXIS_EFFECTS, ids=lambda entry: entry["name"])
+@pytest.mark.parametrize("linear", [True, False], ids=["translating", "turning"])
+def test_amended_axis_comes_back_from_its_file(entry, linear, tmp_path):
+    machine = make_machine(tmp_path) if linear else rotary(tmp_path)
+    _, effect, again = amended(machine, entry, tmp_path)
+    assert again.model.effects == [effect]
+    assert again.model.values == pytest.approx(
+        machine.model.values | {next(iter(machine.model.values)): again.believed[0]}
+    )
+    for parameter in entry["parameters"]:
+        places = list(machine.place(entry["name"], parameter["name"], None))
+        np.testing.assert_array_equal(again.believed[places], 0.3)
+
+
+def test_amended_model_keeps_what_was_there(tmp_path):
+    text = model_text(effects="[[effects.coulomb_friction]]\nforce_n = 1.5\n")
+    path = tmp_path / "axis.toml"
+    path.write_text(text)
+    machine = Machine(read_model(path))
+    model = machine.amended_model({}, [Effect("dead_zone", {"duty": 0.1})])
+    assert [effect.name for effect in model.effects] == ["coulomb_friction", "dead_zone"]
+    assert model.values["axis.mass_kg"] == MASS_KG

@@ -1,0 +1,215 @@
+"""Replay errors, noise floor and closed fraction, against closed forms."""
+
+import numpy as np
+import pytest
+from axis_bench import Bench, make_log, make_machine, make_runs, model_text, silent, true_noise
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from omnislip.gap.metrics import (
+    Replays,
+    closed_fraction,
+    evaluate_model,
+    gap_table,
+    replay_all,
+)
+from omnislip.gap.recordings import Run, make_run
+from omnislip.log_file import write_log
+
+ROW_S = 0.01
+
+
+def made_up_run(name, rows=400, channels=("a", "b"), command=None):
+    """A run of which only times, channels and command are looked at."""
+    t_s = np.arange(rows) * ROW_S
+    command = np.sin(7 * t_s)[:, None] if command is None else command
+    shape = (rows, len(channels))
+    return Run(name, t_s, command, np.zeros(shape), channels, np.ones(len(channels)), None)
+
+
+def made_up_replays(name, errors, floor=1.0, command=None):
+    """Replays of three models with `errors` (3, rows, channels); noise variance `floor`."""
+    channels = ("a", "b")[: errors.shape[2]]
+    run = made_up_run(name, errors.shape[1], channels, command)
+    return Replays(run, errors, np.full(errors.shape[1:], floor), run.t_s >= 0.25)
+
+
+def constant_errors(believed, refit, after, rows=400, channels=2):
+    """Errors of alternating sign: RMSE is exactly the size asked for."""
+    sign = (-1.0) ** np.arange(rows)
+    sizes = np.array([believed, refit, after])
+    return sizes[:, None, None] * sign[None, :, None] * np.ones(channels)
+
+
+def three_runs(*sizes, floor=1.0):
+    rng = np.random.default_rng(1)
+    return [
+        made_up_replays(f"r{k}", constant_errors(*sizes), floor, rng.standard_normal((400, 1)))
+        for k in range(3)
+    ]
+
+
+# ---- closed fraction ----
+
+
+@settings(max_examples=15)
+@given(refit=st.floats(1.5, 50.0), share=st.floats(0.0, 1.0))
+def test_closed_fraction_is_the_share_of_the_excess(refit, share):
+    """Mean squares refit^2 and 1 + (1 - share)(refit^2 - 1) in floors of 1."""
+    after = np.sqrt(1 + (1 - share) * (refit**2 - 1))
+    closed = closed_fraction(three_runs(refit, refit, after), [0, 1], np.ones(2))
+    assert closed.value == pytest.approx(share, abs=1e-9)
+    assert closed.low == pytest.approx(share, abs=1e-9)
+    assert closed.high == pytest.approx(share, abs=1e-9)
+
+
+def test_a_worse_model_has_a_negative_closed_fraction():
+    closed = closed_fraction(three_runs(2.0, 2.0, 3.0), [0, 1], np.ones(2))
+    assert closed.value == pytest.approx(-5 / 3)
+
+
+def test_without_a_gap_nothing_can_be_closed():
+    closed = closed_fraction(three_runs(1.0, 1.0, 1.0), [0, 1], np.ones(2))
+    assert (closed.value, closed.low, closed.high) == (None, None, None)
+
+
+def test_channels_count_in_their_own_floors():
+    """Channel b in millimetres says the same as in metres."""
+    replays = three_runs(3.0, 2.0, 1.5)
+    scaled = [
+        Replays(r.run, r.errors * [1.0, 1e3], r.floor_variance * [1.0, 1e6], r.counted)
+        for r in replays
+    ]
+    plain = closed_fraction(replays, [0, 1], np.ones(2))
+    other = closed_fraction(scaled, [0, 1], np.array([1.0, 1e6]))
+    assert other.value == pytest.approx(plain.value)
+
+
+def test_interval_holds_the_value_and_widens_with_the_scatter_of_the_runs():
+    def closed(scatter):
+        rng = np.random.default_rng(2)
+        replays = [
+            made_up_replays(f"r{k}", constant_errors(4.0, 4.0, 2.0 + scatter * rng.uniform(-1, 1)))
+            for k in range(6)
+        ]
+        return closed_fraction(replays, [0, 1], np.ones(2))
+
+    calm, wild = closed(0.1), closed(0.9)
+    assert calm.low < calm.value < calm.high
+    assert 3 * (calm.high - calm.low) < wild.high - wild.low
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_few_runs_are_cut_into_windows(count):
+    replays = three_runs(3.0, 3.0, 1.0)[:count]
+    closed = closed_fraction(replays, [0, 1], np.ones(2))
+    assert closed.value == pytest.approx(1.0)
+
+
+@pytest.mark.xfail(reason="a blank window counts as an error of zero", strict=True)
+@pytest.mark.parametrize("count", [1, 2])
+def test_windows_in_which_a_channel_is_blank_do_not_count(count):
+    """A camera that loses the robot for a second leaves no error there: not an error of zero."""
+    replays = three_runs(3.0, 3.0, 2.0)[:count]
+    for r in replays:
+        r.errors[:, 130:340, 1] = np.nan
+    closed = closed_fraction(replays, [0, 1], np.ones(2))
+    assert closed.value == pytest.approx(5 / 8)
+
+
+# ---- table and floor ----
+
+
+def test_table_holds_rmse_of_the_counted_rows():
+    table = gap_table(three_runs(4.0, 3.0, 2.0))
+    np.testing.assert_allclose(table.rmse, [[4.0, 4.0], [3.0, 3.0], [2.0, 2.0]])
+    assert table.channels == ("a", "b")
+    assert table.runs == ("r0", "r1", "r2")
+
+
+def test_floor_is_the_predictors_when_nothing_is_repeated():
+    table = gap_table(three_runs(4.0, 3.0, 2.0, floor=0.25))
+    np.testing.assert_allclose(table.floor, 0.5)
+    assert table.floor_source == "the predictor's noise"
+
+
+def repeated(scatter, bias, seeds):
+    """Two runs of one command: a common error `bias` and noise of deviation `scatter` in each."""
+    replays = []
+    for seed in seeds:
+        noise = np.random.default_rng(seed).normal(0.0, scatter, (400, 2))
+        errors = bias + np.stack([noise, noise, noise])
+        replays.append(made_up_replays(f"r{seed}", errors, floor=100.0))
+    return replays
+
+
+def test_floor_of_repeated_manoeuvres_is_what_differs_between_them():
+    """Half the variance of the difference; a common error of any size cancels.
+
+    375 rows: the standard error of a deviation is 3.7 %.
+    """
+    table = gap_table(repeated(scatter=0.3, bias=5.0, seeds=(1, 2)))
+    assert table.floor_source == "repeated manoeuvres"
+    np.testing.assert_allclose(table.floor, 0.3, rtol=0.15)
+
+
+def test_different_commands_are_no_repetition():
+    one, other = repeated(scatter=0.3, bias=0.0, seeds=(1, 2))
+    moved = made_up_run("other", command=np.cos(7 * one.run.t_s)[:, None])
+    table = gap_table([one, Replays(moved, other.errors, other.floor_variance, other.counted)])
+    assert table.floor_source == "the predictor's noise"
+
+
+def test_blank_channels_are_left_out_and_blank_rows_do_no_harm():
+    replays = three_runs(4.0, 3.0, 2.0)
+    for r in replays:
+        r.errors[:, :, 1] = np.nan
+        r.errors[:, ::3, 0] = np.nan
+    table = gap_table(replays)
+    assert table.channels == ("a",)
+    np.testing.assert_allclose(table.rmse[:, 0], [4.0, 3.0, 2.0])
+    assert np.isfinite(table.floor).all()
+    assert np.isfinite([table.closed.value, table.closed.low, table.closed.high]).all()
+
+
+def test_a_channel_blank_in_one_run_only_is_judged_on_the_others():
+    replays = three_runs(4.0, 3.0, 2.0)
+    replays[0].errors[:, :, 1] = np.nan
+    table = gap_table(replays)
+    np.testing.assert_allclose(table.rmse, [[4.0, 4.0], [3.0, 3.0], [2.0, 2.0]])
+    assert np.isfinite(table.floor).all()
+
+
+# ---- on logs ----
+
+
+def test_replays_of_the_true_model_err_by_the_noise_floor(tmp_path):
+    """Mean square over the floor's: 1 within what eight runs of 5 one-second windows can tell."""
+    machine = make_machine(tmp_path)
+    runs = make_runs(machine, Bench(), range(8))
+    table = gap_table(replay_all(machine, runs, true_noise(), [machine.believed] * 3))
+    # Free runs of a second: errors of a window hang together, so 40 windows are 40 samples of a
+    # squared error whose deviation is about its mean: 1 +- 0.16 each sigma.
+    assert (table.rmse[0, 0] / table.floor[0]) ** 2 == pytest.approx(1.0, abs=0.55)
+
+
+def test_replay_without_noise_and_gap_has_no_error(tmp_path):
+    machine = make_machine(tmp_path)
+    run = make_run(machine, make_log(Bench(), 1, noise=0.0))
+    [replays] = replay_all(machine, [run], true_noise(), [machine.believed] * 3)
+    assert np.abs(replays.errors[:, replays.counted]).max() < 2e-6
+
+
+def evaluated(tmp_path, **believed):
+    model = tmp_path / "axis.toml"
+    model.write_text(model_text(**believed))
+    logs = [tmp_path / f"run_{k}.csv" for k in range(4)]
+    for k, path in enumerate(logs):
+        write_log(make_log(Bench(coulomb_n=2.0), k), path)
+    return evaluate_model(model, logs, silent)["channels"]["axis/position_m"]
+
+
+def test_evaluate_tells_the_better_model(tmp_path):
+    worse = evaluated(tmp_path)
+    better = evaluated(tmp_path, effects="[[effects.coulomb_friction]]\nforce_n = 2.0\n")
+    assert better["rmse"] < 0.3 * worse["rmse"]
+    assert 0.5 < better["rmse"] / better["noise_floor"] < 2.0

@@ -1,0 +1,115 @@
+"""From a log to what the engine replays: units, wraps, blanks, the first state."""
+
+import numpy as np
+import pytest
+from axis_bench import Bench, make_log, make_machine
+from hypothesis import given
+from hypothesis import strategies as st
+from omnislip.gap.machine import Machine
+from omnislip.gap.noise import Noise, track_all
+from omnislip.gap.recordings import ROBOT_CHANNELS, make_run, unwrap_counts, wheel_jacobian
+from omnislip.log_file import POSE_COLUMNS, Log
+from omnislip.model_file import NOMINAL_ROBOT, read_model
+
+ROBOT = Machine(read_model(NOMINAL_ROBOT))
+RAD_PER_COUNT = 2 * np.pi / 2000
+SHAFT_PER_RIM = 12.0 / 0.05
+
+
+@given(
+    start=st.integers(0, 65535),
+    steps=st.lists(st.integers(-32768, 32767), min_size=1, max_size=50),
+)
+def test_unwrapping_finds_every_step_of_less_than_half_a_turn_of_the_counter(start, steps):
+    path = np.concatenate([[0], np.cumsum(steps)])
+    counter = (start + path) % 65536
+    np.testing.assert_array_equal(unwrap_counts(counter.astype(float)), path)
+
+
+@given(st.lists(st.integers(-(2**31), 2**31), min_size=1, max_size=50))
+def test_unwrapped_counts_differ_from_the_counter_by_whole_turns(counts):
+    unwrapped = unwrap_counts(np.array(counts, float))
+    np.testing.assert_array_equal((np.array(counts) - counts[0] - unwrapped) % 65536, 0)
+
+
+def log_of(velocity, rows=21, row_s=0.005, pose_every=4):
+    """Log of a robot that rolls with constant body velocity along x, y or turning on the spot."""
+    t_s = 2.0 + np.arange(rows) * row_s
+    shaft = wheel_jacobian(ROBOT) @ velocity * SHAFT_PER_RIM
+    angles = np.outer(t_s - t_s[0], shaft)
+    counts = np.floor(angles / RAD_PER_COUNT) % 65536
+    columns = {f"wheel/{w + 1}/duty": np.full(rows, 0.1 * w) for w in range(4)}
+    columns |= {f"wheel/{w + 1}/encoder_counts": counts[:, w] for w in range(4)}
+    pose = np.outer(t_s, velocity) + np.array([0.5, -0.5, 3.0])
+    pose[:, 2] = np.remainder(pose[:, 2] + np.pi, 2 * np.pi) - np.pi
+    pose[np.arange(rows) % pose_every != 0] = np.nan
+    columns |= {name: pose[:, k] for k, name in enumerate(POSE_COLUMNS)}
+    return Log("run", t_s, columns)
+
+
+def initial_state(run):
+    """State of the filter's first row, before it has corrected anything."""
+    certain = Noise(np.zeros(14), np.ones(8), np.zeros(14), 0.0, np.zeros(7))
+    [track] = track_all(ROBOT, [run], ROBOT.believed, certain)
+    return track.state.reshape(-1, 14)[0]
+
+
+def test_channels_have_units_of_the_engine_and_scales_back_to_the_log():
+    log = log_of(np.array([1.0, 0.0, 0.0]))
+    run = make_run(ROBOT, log)
+    assert run.channels == ROBOT_CHANNELS
+    assert run.duration_s == pytest.approx(0.1)
+    # Counts in rad; after 0.1 s at 1 m/s wheel 3 has turned by 0.05 m of rim.
+    assert run.outputs[-1, 2] == pytest.approx(0.05 * SHAFT_PER_RIM, abs=RAD_PER_COUNT)
+    unwrapped = unwrap_counts(log.columns["wheel/3/encoder_counts"])
+    np.testing.assert_allclose(run.outputs[:, 2] * run.scale[2], unwrapped, atol=1e-9)
+    np.testing.assert_allclose(run.command, np.tile([0.0, 0.1, 0.2, 0.3], (21, 1)))
+    np.testing.assert_array_equal(run.scale[4:], 1.0)
+
+
+def test_missing_and_blank_columns_are_not_sampled():
+    log = log_of(np.array([1.0, 0.0, 0.0]))
+    run = make_run(ROBOT, log)
+    seen = ~np.isnan(run.outputs)
+    assert seen[:, :4].all()
+    assert not seen[:, 4].any()
+    np.testing.assert_array_equal(np.flatnonzero(seen[:, 5]), np.arange(0, 21, 4))
+
+
+def test_heading_is_unwrapped_over_blank_rows():
+    run = make_run(ROBOT, log_of(np.array([0.0, 0.0, 8.0]), rows=401))
+    heading = run.outputs[::4, 7]
+    np.testing.assert_allclose(np.diff(heading), 8.0 * 0.02, atol=1e-9)
+    assert heading[-1] - heading[0] > 2 * np.pi
+
+
+@pytest.mark.parametrize("velocity", [(1.0, 0.0, 0.0), (0.0, -0.8, 0.0), (0.0, 0.0, 3.0)])
+def test_first_state_is_the_motion_of_the_first_rows(velocity):
+    """Over three rows the counts tell a shaft speed to a count in 15 ms: 0.21 rad/s."""
+    log = log_of(np.array(velocity))
+    state = initial_state(make_run(ROBOT, log))
+    shaft = wheel_jacobian(ROBOT) @ velocity * SHAFT_PER_RIM
+    np.testing.assert_allclose(state[:4], shaft, atol=0.21)
+    np.testing.assert_array_equal(state[4:8], 0.0)
+    # J+ of an error of 0.21 rad/s on each rim: at most 1.2 mm/s, and / L for the turning.
+    np.testing.assert_allclose(state[8:11], velocity, atol=6e-3)
+    first = [log.columns[name][0] for name in POSE_COLUMNS]
+    np.testing.assert_allclose(state[11:], first, atol=1e-12)
+
+
+def test_a_piece_of_a_log_is_the_rows_asked_for():
+    log = log_of(np.array([1.0, 0.0, 0.0]))
+    piece = make_run(ROBOT, log, 8, 16)
+    np.testing.assert_array_equal(piece.t_s, log.t_s[8:16])
+    assert piece.outputs[0, 0] == 0.0
+    assert piece.recording.rows == 8
+
+
+def test_axis_has_one_channel_in_its_own_unit(tmp_path):
+    machine = make_machine(tmp_path)
+    log = make_log(Bench(), seed=1, duration_s=1.0)
+    run = make_run(machine, log)
+    assert run.channels == ("axis/position_m",)
+    np.testing.assert_array_equal(run.outputs[:, 0], log.columns["axis/position_m"])
+    np.testing.assert_array_equal(run.command[:, 0], log.columns["axis/command"])
+    np.testing.assert_array_equal(run.scale, [1.0])

@@ -1,0 +1,143 @@
+"""What is missing on an axis: named right, the simplest wins, and nothing is found in nothing."""
+
+import numpy as np
+import pytest
+from axis_bench import Bench, make_machine, make_runs, silent
+from omnislip.gap.machine import Machine
+from omnislip.gap.search import search
+from omnislip.model_file import Effect, read_model, write_model
+from scipy.stats import binom
+
+FITTING, VALIDATION = range(4), range(10, 14)
+
+
+def find(machine, bench, first_seed=0):
+    fitting = make_runs(machine, bench, range(first_seed, first_seed + 4))
+    validation = make_runs(machine, bench, range(first_seed + 10, first_seed + 14))
+    return search(machine, fitting, validation, silent)
+
+
+def names(outcome):
+    return [selected.candidate.effect for selected in outcome.selected]
+
+
+HIDDEN = {
+    "coulomb_friction": (Bench(coulomb_n=2.0), {"torque_nm": 2.0}),
+    "asymmetric_friction": (
+        Bench(forward_n=2.0, forward_n_s_m=2.0),
+        {"torque_nm": 2.0, "viscous_nm_s": 2.0},
+    ),
+    "dead_zone": (Bench(dead_zone_v=0.1), {"duty": 0.1}),
+    "viscous_friction_error": (Bench(viscous_n_s_m=20.0), {"viscous_friction_nm_s": 5.0}),
+}
+
+
+@pytest.fixture(scope="module")
+def machine(tmp_path_factory):
+    return make_machine(tmp_path_factory.mktemp("axis"))
+
+
+@pytest.fixture(scope="module")
+def outcomes(machine):
+    return {name: find(machine, bench) for name, (bench, _) in HIDDEN.items()}
+
+
+@pytest.mark.parametrize("name", HIDDEN)
+def test_the_hidden_effect_is_the_only_one_named(outcomes, name):
+    outcome = outcomes[name]
+    assert names(outcome) == [name]
+    assert outcome.leftover == ()
+
+
+@pytest.mark.parametrize("name", HIDDEN)
+def test_its_size_is_right_within_four_standard_deviations(outcomes, name):
+    """And these are 0.1 to 10 % of the size: an interval that says nothing would pass too."""
+    [selected] = outcomes[name].selected
+    truth = HIDDEN[name][1]
+    labels = [p.label for p in selected.candidate.parameters]
+    wanted = np.array([truth[label] for label in labels])
+    deviation = np.sqrt(np.diag(selected.evidence.covariance))
+    assert np.all(np.abs(selected.values - wanted) < 4 * deviation)
+    assert np.all(deviation < 0.1 * wanted) and np.all(deviation > 1e-3 * wanted)
+
+
+def test_the_simplest_of_equals_wins(outcomes):
+    """Stribeck and asymmetric friction hold Coulomb friction within them and fit as well."""
+    [selected] = outcomes["coulomb_friction"].selected
+    assert len(selected.candidate.parameters) == 1
+
+
+def test_ladder_goes_down_to_the_final_model(outcomes):
+    outcome = outcomes["coulomb_friction"]
+    assert len(outcome.ladder) == 2
+    assert outcome.ladder[-1] is outcome.final
+    assert outcome.final.objective < outcome.base.objective - 1000
+    assert outcome.final.objective == pytest.approx(outcome.final.residual.size, rel=0.1)
+
+
+def test_every_trial_says_why(outcomes):
+    trials = outcomes["dead_zone"].trials
+    assert [t.candidate.effect for t in trials if t.accepted] == ["dead_zone"]
+    assert all(t.reason for t in trials)
+
+
+def test_nothing_missing_nothing_found(machine):
+    """20 data sets with nothing hidden: at the level of 1 % each, more than 3 alarms are wrong.
+
+    Keys are off by half a tolerance, which is no effect.
+    """
+    alarms = [
+        names(find(machine, Bench(mass_kg=10.1, viscous_n_s_m=14.9), first_seed=100 * k))
+        for k in range(1, 21)
+    ]
+    assert sum(bool(found) for found in alarms) <= binom.ppf(0.999, 20, 0.01) + 1
+
+
+def test_nothing_found_gives_a_limit_for_every_candidate(machine):
+    outcome = find(machine, Bench())
+    assert outcome.selected == ()
+    assert set(outcome.limits) == {c.name for c in machine.candidates()}
+    sizes = [size for limits in outcome.limits.values() for size in limits.values()]
+    assert all(size > 0 for size in sizes)
+
+
+@pytest.mark.parametrize("factor, found", [(3.0, True), (0.2, False)])
+def test_limit_of_detection_is_where_detection_begins(machine, factor, found):
+    """Three times the limit is a gain of 225 and seen; a fifth of it is a gain of 1 and is not."""
+    limit = find(machine, Bench()).limits["coulomb_friction"]["force_n"]
+    outcome = find(machine, Bench(coulomb_n=factor * limit))
+    assert ("coulomb_friction" in names(outcome)) == found
+
+
+@pytest.mark.parametrize("name", HIDDEN)
+def test_the_amended_model_has_no_gap(machine, outcomes, name, tmp_path):
+    """New runs of the same bench, after a trip through the model file."""
+    outcome = outcomes[name]
+    [selected] = outcome.selected
+    sizes = {
+        machine.file_parameter(p.label): float(value)
+        for p, value in zip(selected.candidate.parameters, selected.values, strict=True)
+    }
+    hypothesis = outcome.final.hypothesis
+    factors = {
+        p.label: float(x / machine.believed[p.places[0]])
+        for p, x in zip(hypothesis.base, hypothesis.x, strict=False)
+    }
+    path = tmp_path / "amended.toml"
+    write_model(machine.amended_model(factors, [Effect(name, sizes)]), path)
+    again = find(Machine(read_model(path)), HIDDEN[name][0], first_seed=50)
+    assert names(again) == []
+    assert again.leftover == ()
+
+
+@pytest.mark.xfail(reason="its size is sought at 4e-8 N s2/m2, a shaft's", strict=True)
+def test_quadratic_drag_is_named(machine):
+    assert names(find(machine, Bench(quadratic_n=5.0))) == ["quadratic_wheel_drag"]
+
+
+@pytest.mark.xfail(reason="checked without the change of the fitted parameters", strict=True)
+def test_what_no_effect_explains_is_said_to_be_left(machine):
+    """Bearings that age are in no catalogue; viscous friction takes only their mean."""
+    outcome = find(machine, Bench(ageing_n_m=2.0))
+    assert [term.dependence for term in outcome.leftover[:1]] == ["time and speed"]
+    assert outcome.leftover[0].equation == "axis/force"
