@@ -130,6 +130,26 @@ def test_the_amended_model_has_no_gap(machine, outcomes, name, tmp_path):
     assert again.leftover == ()
 
 
+def test_two_effects_are_both_named(machine):
+    outcome = find(machine, Bench(coulomb_n=2.0, dead_zone_v=0.1))
+    assert sorted(names(outcome)) == ["coulomb_friction", "dead_zone"]
+
+
+def test_mass_and_inertia_of_an_axis_cannot_be_told_apart(machine):
+    """One number, two names: one is named, the other is said to do as well."""
+    [selected] = find(machine, Bench(mass_kg=11.0)).selected
+    either = {selected.candidate.effect, *selected.rivals}
+    assert either == {"payload", "inertia_error"}
+    assert selected.values[0] == pytest.approx(1.0, abs=0.1)
+
+
+@pytest.mark.xfail(reason="the size of an effect in the model is never doubted", strict=True)
+def test_an_effect_of_the_model_with_the_wrong_size_is_named_again(tmp_path):
+    """The model rubs with 1 N, the axis with 2 N: it is the friction that is wrong."""
+    believed = make_machine(tmp_path, effects="[[effects.coulomb_friction]]\nforce_n = 1.0\n")
+    assert names(find(believed, Bench(coulomb_n=2.0))) == ["coulomb_friction"]
+
+
 @pytest.mark.xfail(reason="its size is sought at 4e-8 N s2/m2, a shaft's", strict=True)
 def test_quadratic_drag_is_named(machine):
     assert names(find(machine, Bench(quadratic_n=5.0))) == ["quadratic_wheel_drag"]

@@ -20,13 +20,13 @@ EQUATIONS = tuple(ROBOT_EQUATIONS)
 def made_up_run(name="run_01"):
     """Wheel i goes to and fro with i + 1 half waves, cubed, so that slow rows hardly accelerate.
 
-    The command is a radian ahead: slow rows are not those of small command.
+    The command has a rhythm of its own: slow rows are not those of small command.
     """
     t_s = np.arange(ROWS) * ROW_S
     phase = np.pi * np.outer(t_s, [1, 2, 3, 4]) / 3
     angle = 100 * np.cumsum(np.sin(phase) ** 3, axis=0) * ROW_S
     outputs = np.hstack([angle, np.zeros((ROWS, 4))])
-    return Run(name, t_s, np.sin(phase + 1.0), outputs, tuple("abcdefgh"), np.ones(8), None)
+    return Run(name, t_s, np.sin(2.3 * phase + 0.5), outputs, tuple("abcdefgh"), np.ones(8), None)
 
 
 def made_up_map(run, equation, inside, inside_share=1.0):
@@ -51,7 +51,7 @@ CONDITIONS = {
     "at small command": lambda run, w: np.abs(run.command[:, w - 1]) < 0.2,
     "late in the run": lambda run, w: run.t_s > 0.8 * run.t_s[-1],
     "early in the run": lambda run, w: run.t_s < 0.2 * run.t_s[-1],
-    "while braking": lambda run, w: run.command[:, w - 1] * speed_of(run, w) < -5,
+    "while braking": lambda run, w: run.command[:, w - 1] * np.sign(speed_of(run, w)) < -0.5,
 }
 
 

@@ -109,7 +109,7 @@ EFFECT_MISTAKES = {
     "[[effects.dead_zone]]\nduti = 0.1": ["duti", "'duty'"],
     "[effects.dead_zone]\nduty = 0.1": ["[[effects.dead_zone]]"],
     '[[effects.dead_zone]]\nduty = "x"': ["effects.dead_zone.duty", "number"],
-    "[[effects.dead_zone]]\nduty = 0.1\nwheel = 1": ["dead_zone", "remove 'wheel'"],
+    "[[effects.payload]]\nmass_kg = 0.1\nwheel = 1": ["payload", "remove 'wheel'"],
     "[[effects.weak_motor]]\nscale = 0.9": ["weak_motor", "add wheel"],
     "[[effects.weak_motor]]\nscale = 0.9\nwheel = 5": ["effects.weak_motor.wheel", "1 to 4"],
     "[[effects.weak_motor]]\nscale = 0.9\nwheel = true": ["effects.weak_motor.wheel"],

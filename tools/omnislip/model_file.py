@@ -95,12 +95,17 @@ KINDS = ("robot", "axis", "odometry")
 MIN_ODOMETRY_WHEELS = 3
 
 
+# Wiring mistakes are mended in the logs before the plant sees them. wheel_permutation: encoder
+# column i shows wheel wheels[i]; the signs: counts, or duty, of one wheel the other way round.
+WIRING = ("wheel_permutation", "encoder_sign", "motor_sign")
+
+
 @dataclass(frozen=True)
 class Effect:
     """One effect of the catalogue; `wheel` None means all wheels, `run` None all runs."""
 
     name: str
-    parameters: dict[str, float]
+    parameters: dict[str, float | list[int]]
     wheel: int | None = None
     run: str | None = None
 
@@ -132,7 +137,8 @@ class Model:
                 parameters |= {f"{key}[{index}]": item for index, item in enumerate(value)}
             else:
                 parameters[key] = value
-        return parameters, [_effect_to_core(effect) for effect in self.effects]
+        plant = [effect for effect in self.effects if effect.name not in WIRING]
+        return parameters, [_effect_to_core(effect) for effect in plant]
 
 
 def read_model(path: Path | str) -> Model:
@@ -287,12 +293,15 @@ def _read_effects(
     catalogue = {entry["name"]: entry for entry in _core.effects()}
     wheel_count = len(values.get(f"{kind}.wheel_angles_deg", []))
     names = TRANSLATING_NAMES if "axis.mass_kg" in values else {}
-    check_known(tables, catalogue, "effect", path)
+    check_known(tables, [*catalogue, *WIRING], "effect", path)
     effects = []
     for name, occurrences in tables.items():
-        entry = catalogue[name]
         if not isinstance(occurrences, list):
             raise InputError(f"{path}: effect '{name}' must be written [[effects.{name}]]")
+        if name in WIRING:
+            effects += [_read_wiring(name, table, kind, path) for table in occurrences]
+            continue
+        entry = catalogue[name]
         if kind not in entry["kinds"]:
             raise InputError(f"{path}: effect '{name}' does not apply to a model of kind '{kind}'")
         known = [
@@ -314,6 +323,22 @@ def _read_effect(
     check_known(table, known, f"parameter of effect '{entry['name']}'", path)
     numbers = {key: check_number(item, f"{where}.{key}", path) for key, item in table.items()}
     return Effect(entry["name"], numbers, wheel, run)
+
+
+def _read_wiring(name: str, table: object, kind: str, path: Path) -> Effect:
+    where = f"effects.{name}"
+    table = dict(check_table(table, where, path))
+    if kind != "robot":
+        raise InputError(f"{path}: effect '{name}' does not apply to a model of kind '{kind}'")
+    if name == "wheel_permutation":
+        check_known(table, ["wheels"], f"parameter of effect '{name}'", path)
+        wheels = check_numbers(table.get("wheels"), 4, f"{where}.wheels", path)
+        if sorted(wheels) != [1.0, 2.0, 3.0, 4.0]:
+            raise InputError(f"{path}: '{where}.wheels' must hold 1, 2, 3 and 4 once each")
+        return Effect(name, {"wheels": [int(wheel) for wheel in wheels]})
+    check_known(table, ["wheel"], f"parameter of effect '{name}'", path)
+    single = {"name": name, "scope": "single"}
+    return Effect(name, {}, _read_wheel(table.get("wheel"), single, 4, path))
 
 
 def _read_wheel(value: object, entry: dict[str, Any], wheel_count: int, path: Path) -> int | None:

@@ -20,6 +20,7 @@ from omnislip.gap.metrics import REPEATED, GapTable, Replays, channel_rmse, gap_
 from omnislip.gap.recordings import Run, make_run
 from omnislip.gap.search import Outcome, Selected, search
 from omnislip.gap.where import Map, Place, describe, map_gap
+from omnislip.gap.wiring import find_wiring, mend
 from omnislip.log_file import Log, read_log
 from omnislip.model_file import Effect, Model, format_model, read_model
 
@@ -69,6 +70,7 @@ class Findings:
     machine: Machine
     split: Split
     outcome: Outcome | None
+    wiring: list[Effect]
     amended: Model
     places: list[Place]
     gap_map: Map | None
@@ -86,11 +88,14 @@ def find_gap(
     model = read_model(model_path)
     machine = Machine(model)
     progress(f"reading {len(log_paths)} logs")
-    logs = [read_log(path, model.kind) for path in log_paths]
+    logs = [mend(read_log(path, model.kind), model.effects) for path in log_paths]
     inputs = {str(path): _sha256(path) for path in (model_path, *log_paths)}
     reason = _too_little(machine, logs)
     if reason:
         return _insufficient(machine, logs, reason, inputs)
+    progress("checking the wiring")
+    wiring = find_wiring(machine, logs)
+    logs = [mend(log, wiring) for log in logs]
     split = split_runs(machine, logs)
     outcome = search(machine, split.fitting, split.validation, progress)
     progress("replaying the held-out runs")
@@ -106,14 +111,15 @@ def find_gap(
         machine, fitted, outcome.data.noise, refit, after if outcome.selected else None
     )
     places = describe(fitted, gap_map) if outcome.selected else []
-    verdict = _verdict(outcome, table)
+    verdict = _verdict(outcome, table, wiring)
     return Findings(
         verdict,
-        _sentence(verdict, machine, outcome, table),
+        _sentence(verdict, machine, outcome, table, wiring),
         machine,
         split,
         outcome,
-        _amend(machine, outcome),
+        wiring,
+        _amend(machine, outcome, wiring),
         places,
         gap_map,
         table,
@@ -123,13 +129,13 @@ def find_gap(
     )
 
 
-def _verdict(outcome: Outcome, table: GapTable) -> str:
+def _verdict(outcome: Outcome, table: GapTable, wiring: Sequence[Effect]) -> str:
     """Name effects only if they explain what is to be explained."""
     named = sum(s.evidence.gain for s in outcome.selected)
     better_term = bool(outcome.leftover) and outcome.leftover[0].gain > UNKNOWN_SHARE * named
     if better_term or _much_is_left(table):
         return "unknown_effect"
-    return "effect_found" if outcome.selected else "no_gap"
+    return "effect_found" if outcome.selected or wiring else "no_gap"
 
 
 def _much_is_left(table: GapTable) -> bool:
@@ -141,7 +147,7 @@ def _much_is_left(table: GapTable) -> bool:
     left, closed = table.left, table.closed
     if left.excess < LEAST_EXCESS or left.excess < SURE * left.standard_error:
         return False
-    if closed.high is not None and closed.value != 0.0:
+    if closed.high is not None:
         return closed.high < EXPLAINED
     return table.floor_source == REPEATED
 
@@ -242,6 +248,7 @@ def _insufficient(
         machine,
         split,
         None,
+        [],
         machine.model,
         [],
         None,
@@ -252,11 +259,18 @@ def _insufficient(
     )
 
 
-def _sentence(verdict: str, machine: Machine, outcome: Outcome, table: GapTable) -> str:
+def _sentence(
+    verdict: str,
+    machine: Machine,
+    outcome: Outcome,
+    table: GapTable,
+    wiring: Sequence[Effect],
+) -> str:
     """Return the verdict as one sentence with numbers."""
     if verdict == "no_gap":
         return "No missing effect: the believed model explains these logs within its tolerances."
-    parts = [_effect_words(machine, s) for s in outcome.selected]
+    parts = [_wiring_words(effect) for effect in wiring]
+    parts += [_effect_words(machine, s) for s in outcome.selected]
     if verdict == "unknown_effect":
         text = "Something is missing that is none of the known effects"
         if outcome.leftover:
@@ -277,6 +291,13 @@ def _sentence(verdict: str, machine: Machine, outcome: Outcome, table: GapTable)
     return text
 
 
+def _wiring_words(effect: Effect) -> str:
+    if effect.name == "wheel_permutation":
+        order = ", ".join(str(wheel) for wheel in effect.parameters["wheels"])
+        return f"wheel_permutation (the encoder columns show wheels {order})"
+    return f"{effect.name} (wheel {effect.wheel})"
+
+
 def _effect_words(machine: Machine, selected: Selected) -> str:
     candidate = selected.candidate
     sizes = []
@@ -291,7 +312,7 @@ def _effect_words(machine: Machine, selected: Selected) -> str:
     return f"{candidate.name} ({', '.join(sizes)})"
 
 
-def _amend(machine: Machine, outcome: Outcome) -> Model:
+def _amend(machine: Machine, outcome: Outcome, wiring: Sequence[Effect]) -> Model:
     """Return the model with the refitted keys and the found effects."""
     hypothesis = outcome.final.hypothesis
     base = {
@@ -299,7 +320,7 @@ def _amend(machine: Machine, outcome: Outcome) -> Model:
         for p, x in zip(hypothesis.base, hypothesis.x, strict=False)
     }
     effects = [_as_effect(machine, s.candidate, s.values) for s in outcome.selected]
-    return machine.amended_model(base, effects)
+    return machine.amended_model(base, [*wiring, *effects])
 
 
 def _as_effect(machine: Machine, candidate: Candidate, values: Array) -> Effect:
@@ -317,6 +338,7 @@ def to_json(findings: Findings) -> dict[str, Any]:
     passed = [_effect_json(machine, s) for s in outcome.selected] if outcome else []
     unknown = findings.verdict == "unknown_effect"
     effects, nearest = ([], passed) if unknown else (passed, [])
+    effects = [_wiring_json(effect) for effect in findings.wiring] + effects
     return {
         "schema": SCHEMA,
         "verdict": findings.verdict,
@@ -355,6 +377,17 @@ def to_json(findings: Findings) -> dict[str, Any]:
             "validation": [r.name for r in findings.split.validation],
         },
         "inputs_sha256": findings.inputs,
+    }
+
+
+def _wiring_json(effect: Effect) -> dict[str, Any]:
+    return {
+        "name": effect.name,
+        "wheel": effect.wheel,
+        "parameters": dict(effect.parameters),
+        "ambiguous_with": [],
+        "separating_manoeuvre": None,
+        "evidence": {},
     }
 
 

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from omnislip import _core
 from omnislip.errors import InputError
-from omnislip.model_file import TRANSLATING_NAMES, Effect, Model
+from omnislip.model_file import TRANSLATING_NAMES, WIRING, Effect, Model
 
 Array = npt.NDArray[np.float64]
 
@@ -184,7 +184,8 @@ class Machine:
             speed = AXIS_FRICTION_SPEED["linear" if self.linear else "rotary"]
             values[[p["name"] for p in base].index("axis.friction_speed")] = speed
         for effect in self.model.effects:
-            self._apply(values, effect)
+            if effect.name not in WIRING:
+                self._apply(values, effect)
         return values
 
     def _apply(self, values: Array, effect: Effect) -> None:

@@ -19,6 +19,7 @@ import numpy.typing as npt
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import Noise, track_all, tune_noise
 from omnislip.gap.recordings import Run, make_run
+from omnislip.gap.wiring import mend
 from omnislip.log_file import read_log
 from omnislip.model_file import read_model
 
@@ -133,9 +134,9 @@ def left_over(replays: Sequence[Replays], seen: Sequence[int], floor: Array) -> 
 
 def channel_rmse(replays: Sequence[Replays]) -> dict[str, Array]:
     """Return RMSE (models,) of every sampled channel over all runs."""
-    moments = np.nanmean(np.stack([_moments(r) for r in replays]), axis=0)
+    moments = np.stack([_moments(r) for r in replays])
     return {
-        channel: np.sqrt(moments[:, c])
+        channel: np.sqrt(np.nanmean(moments[:, :, c], axis=0))
         for c, channel in enumerate(replays[0].run.channels)
         if any(_sampled(r, c) for r in replays)
     }
@@ -154,7 +155,7 @@ def closed_fraction(replays: Sequence[Replays], seen: Sequence[int], floor: Arra
         return float((excess[1] - excess[2]) / excess[1]) if excess[1] > 0.05 else np.nan
 
     value = share(units)
-    if not np.isfinite(value):
+    if not np.isfinite(value) or np.array_equal(units[:, 1], units[:, 2], equal_nan=True):
         return Closed(None, None, None)
     rng = np.random.default_rng(0)
     draws = rng.integers(0, len(units), (BOOTSTRAPS, len(units)))
@@ -243,7 +244,8 @@ def evaluate_model(
 ) -> dict[str, Any]:
     """Return RMSE of one-second replays and noise floor per channel, for any model on any runs."""
     machine = Machine(read_model(model_path))
-    runs = [make_run(machine, read_log(path, machine.kind)) for path in log_paths]
+    effects = machine.model.effects
+    runs = [make_run(machine, mend(read_log(path, machine.kind), effects)) for path in log_paths]
     progress("tuning the noise")
     noise = tune_noise(machine, runs, machine.believed)
     progress("replaying")

@@ -58,6 +58,13 @@ def track_all(
     )
 
 
+def first_guess(machine: Machine, runs: Sequence[Run]) -> Noise:
+    """Return the noise that the sensors' second differences and experience suggest."""
+    if machine.kind == "robot":
+        return _robot_noise(machine, _robot_start(runs))
+    return _axis_noise(machine, _axis_start(runs))
+
+
 def tune_noise(
     machine: Machine, runs: Sequence[Run], values: Array, start: "Noise | None" = None
 ) -> Noise:

@@ -111,6 +111,22 @@ def _added_text(findings: Findings) -> str:
     return "\n\n".join(tables[len(findings.machine.model.effects) :])
 
 
+GATE_TEXTS = {
+    "wheel_permutation": {
+        "summary": "The encoders are connected in another order than the motors.",
+        "equation": "encoder column i shows wheel wheels[i]",
+    },
+    "encoder_sign": {
+        "summary": "An encoder counts the wrong way round.",
+        "equation": "counts of this wheel times -1",
+    },
+    "motor_sign": {
+        "summary": "A motor turns the wrong way round.",
+        "equation": "duty of this wheel times -1",
+    },
+}
+
+
 def _effects(findings: Findings, numbers: Json) -> list[Json]:
     """One entry per effect of the amended model: its catalogue text, sizes and rivals.
 
@@ -119,8 +135,20 @@ def _effects(findings: Findings, numbers: Json) -> list[Json]:
     if not findings.outcome:
         return []
     machine = findings.machine
-    known = numbers["effects"] or numbers["nearest"]
-    return [
+    gates = [
+        {
+            "name": effect.name
+            if effect.wheel is None
+            else f"{effect.name} (wheel {effect.wheel})",
+            "entry": GATE_TEXTS[effect.name],
+            "sizes": [],
+            "rivals": [],
+            "manoeuvre": None,
+        }
+        for effect in findings.wiring
+    ]
+    known = numbers["effects"][len(gates) :] or numbers["nearest"]
+    return gates + [
         {
             "name": selected.candidate.name,
             "entry": machine.catalogue[selected.candidate.effect],

@@ -1,0 +1,281 @@
+"""`omnislip gap ...` on the command line: what it prints, leaves behind, and how it refuses."""
+
+import json
+import sys
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from axis_bench import Bench, make_log, model_text
+from omnislip import cli
+from omnislip.gap.truth import TruthCase, write_case
+from omnislip.log_file import Log, write_log
+from omnislip.model_file import NOMINAL_ROBOT
+
+ROBOT_TEXT = NOMINAL_ROBOT.read_text()
+
+
+@dataclass(frozen=True)
+class Ended:
+    """What a run of the command line left behind."""
+
+    status: int
+    stdout: str
+    stderr: str
+
+
+@pytest.fixture
+def omnislip(monkeypatch, capsys, tmp_path):
+    """Run the command line in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(*words):
+        monkeypatch.setattr(sys, "argv", ["omnislip", *map(str, words)])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        captured = capsys.readouterr()
+        return Ended(ended.value.code, captured.out, captured.err)
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def robot_csv(tmp_path_factory):
+    """The text of a log of the generator."""
+    folder = tmp_path_factory.mktemp("log")
+    write_case(TruthCase(seed=1, runs=1, run_duration_s=1.0), folder)
+    return (folder / "run_01.csv").read_text()
+
+
+def files_below(path):
+    return sorted(str(item.relative_to(path)) for item in path.rglob("*"))
+
+
+# ---- good input ----
+
+
+@pytest.fixture
+def axis_files(tmp_path):
+    """A model and six logs of an axis with Coulomb friction of 2 N in the current folder."""
+    (tmp_path / "axis.toml").write_text(model_text())
+    for seed in range(6):
+        write_log(make_log(Bench(coulomb_n=2.0), seed), tmp_path / f"run_{seed:02d}.csv")
+    return [f"run_{seed:02d}.csv" for seed in range(6)]
+
+
+def test_find_says_what_it_found_and_where_it_is(omnislip, axis_files, tmp_path):
+    ended = omnislip("gap", "find", "--robot", "axis.toml", "--out", "gap", *axis_files)
+    assert ended.status == 0
+    assert "Missing: coulomb_friction (force_n 2" in " ".join(ended.stdout.split())
+    assert "gap/report.html" in ended.stdout
+    assert files_below(tmp_path / "gap") == ["gap.json", "report.html", "robot.toml"]
+    assert json.loads((tmp_path / "gap" / "gap.json").read_text())["verdict"] == "effect_found"
+
+
+def test_find_as_json_prints_what_it_writes(omnislip, axis_files, tmp_path):
+    ended = omnislip("gap", "find", "--robot", "axis.toml", "--out", "gap", "--json", *axis_files)
+    assert ended.status == 0
+    assert json.loads(ended.stdout) == json.loads((tmp_path / "gap" / "gap.json").read_text())
+
+
+def test_evaluate_judges_the_amended_model_better(omnislip, axis_files):
+    omnislip("gap", "find", "--robot", "axis.toml", "--out", "gap", *axis_files)
+    rmse = [
+        json.loads(omnislip("gap", "evaluate", "--robot", robot, "--json", *axis_files).stdout)[
+            "channels"
+        ]["axis/position_m"]["rmse"]
+        for robot in ("axis.toml", "gap/robot.toml")
+    ]
+    assert rmse[1] < 0.3 * rmse[0]
+
+
+def test_results_of_an_earlier_run_are_replaced(omnislip, axis_files, tmp_path):
+    (tmp_path / "gap").mkdir()
+    (tmp_path / "gap" / "gap.json").write_text("old")
+    omnislip("gap", "find", "--robot", "axis.toml", "--out", "gap", *axis_files)
+    assert json.loads((tmp_path / "gap" / "gap.json").read_text())["schema"] == "omnislip-gap/1"
+    assert len(files_below(tmp_path / "gap")) == 3
+
+
+COMMANDS = ["find", "evaluate", "benchmark"]
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_gives_an_example(command, omnislip):
+    ended = omnislip("gap", command, "--help")
+    assert ended.status == 0
+    assert f"Example: omnislip gap {command}" in ended.stdout
+
+
+# ---- too little data ----
+
+
+def still_log(rows, **columns):
+    t_s = np.arange(rows) * 0.005
+    values = {f"wheel/{w}/duty": 0.3 * np.sin(5 * t_s) for w in range(1, 5)}
+    turned = np.round(-3000 * np.cos(5 * t_s))
+    values |= {f"wheel/{w}/encoder_counts": turned for w in range(1, 5)}
+    return Log("run", t_s, values | columns)
+
+
+TOO_LITTLE = {
+    "0.2 s": lambda: still_log(40),
+    "zeros": lambda: still_log(2000, **{c: np.zeros(2000) for c in still_log(2).columns}),
+    "a wheel that never moves": lambda: still_log(
+        2000, **{"wheel/2/encoder_counts": np.zeros(2000)}
+    ),
+}
+
+
+@pytest.mark.parametrize("case", TOO_LITTLE)
+def test_too_little_data_is_work_done(case, omnislip, tmp_path):
+    write_log(TOO_LITTLE[case](), tmp_path / "run.csv")
+    ended = omnislip("gap", "find", "--robot", NOMINAL_ROBOT, "--out", "gap", "run.csv")
+    assert ended.status == 0
+    assert "Not enough data" in ended.stdout
+    assert files_below(tmp_path / "gap") == ["gap.json", "report.html", "robot.toml"]
+    result = json.loads((tmp_path / "gap" / "gap.json").read_text())
+    assert result["verdict"] == "insufficient_data"
+    report = (tmp_path / "gap" / "report.html").read_text()
+    assert report.rstrip().endswith("</html>")
+
+
+# ---- bad input ----
+
+
+def edited(text, line, cell, value):
+    """CSV text with one cell changed; line 1 is the header."""
+    lines = text.split("\n")
+    cells = lines[line - 1].split(",")
+    cells[cell] = value
+    lines[line - 1] = ",".join(cells)
+    return "\n".join(lines)
+
+
+def without_column(text, name):
+    lines = [line.split(",") for line in text.rstrip("\n").split("\n")]
+    gone = lines[0].index(name)
+    return "\n".join(",".join(c for i, c in enumerate(row) if i != gone) for row in lines) + "\n"
+
+
+# What is spoilt in model and log (cells: 0 t_s, 1 wheel/1/duty, 5 wheel/1/encoder_counts), and what
+# the one line must name.
+BAD_FILES = {
+    "unknown key": (
+        lambda m: m.replace("mass_kg", "weight_kg"),
+        lambda c: c,
+        ["bad.toml", "robot.weight_kg"],
+    ),
+    "wrong unit": (
+        lambda m: m.replace("mass_kg = 20.0", "mass_g = 20000.0"),
+        lambda c: c,
+        ["bad.toml", "robot.mass_g", "robot.mass_kg"],
+    ),
+    "missing key": (
+        lambda m: m.replace("supply_v = 24.0", ""),
+        lambda c: c,
+        ["bad.toml", "motor.supply_v"],
+    ),
+    "unknown effect": (
+        lambda m: m + "\n[[effects.suply_sag]]\nsource_resistance_ohm = 0.1\n",
+        lambda c: c,
+        ["bad.toml", "suply_sag", "supply_sag"],
+    ),
+    "broken TOML": (lambda m: m + "\n[robot\n", lambda c: c, ["bad.toml", "line"]),
+    "missing column": (
+        lambda m: m,
+        lambda c: without_column(c, "wheel/3/encoder_counts"),
+        ["bad.csv", "wheel/3/encoder_counts"],
+    ),
+    "unknown column": (
+        lambda m: m,
+        lambda c: c.replace("gyro/z_rad_s", "gyro/z_deg_s", 1),
+        ["bad.csv", "gyro/z_deg_s"],
+    ),
+    "blank required cell": (
+        lambda m: m,
+        lambda c: edited(c, 30, 1, ""),
+        ["bad.csv", "line 30", "wheel/1/duty"],
+    ),
+    "NaN in a required cell": (
+        lambda m: m,
+        lambda c: edited(c, 31, 5, "nan"),
+        ["bad.csv", "line 31", "wheel/1/encoder_counts"],
+    ),
+    "text in a cell": (
+        lambda m: m,
+        lambda c: edited(c, 32, 5, "many"),
+        ["bad.csv", "line 32", "wheel/1/encoder_counts", "many"],
+    ),
+    "time running backwards": (
+        lambda m: m,
+        lambda c: edited(c, 40, 0, "0.001"),
+        ["bad.csv", "line 40", "t_s"],
+    ),
+    "duty beyond 1": (
+        lambda m: m,
+        lambda c: edited(c, 50, 1, "1.2"),
+        ["bad.csv", "line 50", "wheel/1/duty", "-1 to 1"],
+    ),
+    "empty file": (lambda m: m, lambda c: "", ["bad.csv"]),
+    "header only": (lambda m: m, lambda c: c.split("\n")[0] + "\n", ["bad.csv", "2 rows"]),
+    "log of another machine": (
+        lambda m: m,
+        lambda c: "t_s,axis/command,axis/position_m\n0.0,1.0,0.0\n0.1,1.0,0.1\n",
+        ["bad.csv", "axis/command"],
+    ),
+    "model of another machine": (
+        lambda m: model_text(),
+        lambda c: c,
+        ["bad.csv", "axis"],
+    ),
+}
+
+
+def assert_refused(ended, expected):
+    assert ended.status == 2
+    assert ended.stdout == ""
+    assert ended.stderr.startswith("omnislip: error: ")
+    assert ended.stderr.count("\n") == 1
+    assert [word for word in expected if word not in ended.stderr] == []
+
+
+@pytest.mark.parametrize("case", BAD_FILES)
+def test_a_bad_file_is_one_line_and_leaves_nothing(case, omnislip, robot_csv, tmp_path):
+    spoil_model, spoil_log, expected = BAD_FILES[case]
+    (tmp_path / "bad.toml").write_text(spoil_model(ROBOT_TEXT))
+    (tmp_path / "good.csv").write_text(robot_csv)
+    (tmp_path / "bad.csv").write_text(spoil_log(robot_csv))
+    ended = omnislip("gap", "find", "--robot", "bad.toml", "--out", "gap", "bad.csv", "good.csv")
+    assert_refused(ended, expected)
+    assert [f for f in files_below(tmp_path) if f.startswith("gap/")] == []
+    assert_refused(omnislip("gap", "evaluate", "--robot", "bad.toml", "bad.csv"), expected)
+
+
+@pytest.mark.parametrize("out", ["file", "file/folder"])
+def test_a_folder_that_cannot_be_made_is_refused_before_the_work(
+    out, omnislip, tmp_path, robot_csv
+):
+    (tmp_path / "file").write_text("kept")
+    (tmp_path / "run.csv").write_text(robot_csv)
+    ended = omnislip("gap", "find", "--robot", NOMINAL_ROBOT, "--out", out, "run.csv")
+    assert_refused(ended, [out])
+    assert (tmp_path / "file").read_text() == "kept"
+
+
+def test_files_that_are_not_there_are_named(omnislip, robot_csv, tmp_path):
+    (tmp_path / "run.csv").write_text(robot_csv)
+    ended = omnislip("gap", "find", "--robot", "none.toml", "--out", "gap", "run.csv")
+    assert_refused(ended, ["none.toml"])
+    ended = omnislip("gap", "find", "--robot", NOMINAL_ROBOT, "--out", "gap", "none.csv")
+    assert_refused(ended, ["none.csv"])
+
+
+def test_unknown_hidden_effect_of_the_benchmark_is_named(omnislip):
+    ended = omnislip("gap", "benchmark", "--out", "cases", "--effect", "supply_sagging")
+    assert_refused(ended, ["supply_sagging"])
+
+
+def test_wrong_usage_ends_with_2(omnislip):
+    assert omnislip("gap", "find", "--out", "gap").status == 2
+    assert omnislip("gap", "find", "--robot", NOMINAL_ROBOT, "--out", "gap").status == 2

@@ -1,0 +1,338 @@
+"""`gap find` from files to verdict: on robot logs of the independent generator, and on axis logs.
+
+Robot cases are short (five runs of four seconds): a guard for the whole path. How often the ten
+effects are found is measured by `omnislip gap benchmark`, not here.
+"""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+from axis_bench import Bench, make_log, model_text, silent
+from omnislip.gap import find
+from omnislip.gap.find import find_gap, split_runs, to_json, write_results
+from omnislip.gap.machine import Machine
+from omnislip.gap.truth import TruthCase, write_case
+from omnislip.gap.truth_effects import typical_effect
+from omnislip.log_file import Log, write_log
+from omnislip.model_file import read_model
+
+AXIS_BENCH = Bench(coulomb_n=2.0)
+
+
+def robot_case(folder, *effects, drop=(), **case):
+    """Model file and logs with hidden effects, without columns that begin with `drop`."""
+    hidden = tuple(effect.as_dict() for effect in effects)
+    write_case(TruthCase(seed=7, effects=hidden, runs=5, run_duration_s=4.0, **case), folder)
+    logs = sorted(folder.glob("run_*.csv"))
+    for path in logs:
+        frame = pd.read_csv(path)
+        frame[[c for c in frame.columns if not c.startswith(tuple(drop))]].to_csv(path, index=False)
+    return folder / "robot.toml", logs
+
+
+def axis_case(folder, bench=AXIS_BENCH, seeds=range(6), **believed):
+    folder.mkdir(parents=True, exist_ok=True)
+    model = folder / "axis.toml"
+    model.write_text(model_text(**believed))
+    logs = [folder / f"run_{seed:02d}.csv" for seed in seeds]
+    for seed, path in zip(seeds, logs, strict=True):
+        write_log(make_log(bench, seed), path)
+    return model, logs
+
+
+def found(model, logs):
+    return find_gap(model, logs, silent)
+
+
+@pytest.fixture(scope="module")
+def weak_motor(tmp_path_factory):
+    """A motor of wheel 3 with too little torque; findings, logs and result folder."""
+    folder = tmp_path_factory.mktemp("weak_motor")
+    model, logs = robot_case(folder, typical_effect("weak_motor", 3))
+    findings = found(model, logs)
+    write_results(findings, folder / "gap", "report")
+    return findings, logs, folder / "gap"
+
+
+@pytest.fixture(scope="module")
+def nothing_hidden(tmp_path_factory):
+    return found(*robot_case(tmp_path_factory.mktemp("none")))
+
+
+@pytest.fixture(scope="module")
+def axis(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("axis")
+    findings = found(*axis_case(folder))
+    write_results(findings, folder / "gap", "report")
+    return findings, folder / "gap"
+
+
+# ---- robot ----
+
+
+def test_weak_motor_is_named_with_its_wheel(weak_motor):
+    [effect] = to_json(weak_motor[0])["effects"]
+    assert (effect["name"], effect["wheel"]) == ("weak_motor", 3)
+    assert to_json(weak_motor[0])["verdict"] == "effect_found"
+
+
+def test_its_size_is_within_the_interval_and_the_interval_says_something(weak_motor):
+    """Twice the 95 % interval: the generator integrates and rubs differently from the model."""
+    truth = typical_effect("weak_motor", 3).parameters["scale"]
+    [effect] = to_json(weak_motor[0])["effects"]
+    scale = effect["parameters"]["scale"]
+    half = (scale["high"] - scale["low"]) / 2
+    assert scale["low"] < scale["value"] < scale["high"]
+    assert abs(scale["value"] - truth) < 2 * half
+    assert 1e-4 < half < 0.02
+
+
+def test_the_gap_on_the_held_out_run_closes(weak_motor):
+    result = to_json(weak_motor[0])["gap"]
+    assert result["held_out_runs"] == ["run_05"]
+    assert result["closed_fraction"]["low"] > 0.8
+    # Better than chance would be too good.
+    for channel in result["channels"].values():
+        assert channel["after"] > 0.4 * channel["noise_floor"]
+        assert channel["after"] < 1.1 * channel["refit"]
+
+
+def test_where_points_to_the_wheel(weak_motor):
+    assert to_json(weak_motor[0])["where"][0]["channel"] == "wheel/3/torque"
+
+
+def test_a_second_run_on_the_amended_robot_finds_no_gap(weak_motor):
+    _, logs, folder = weak_motor
+    again = found(folder / "robot.toml", logs)
+    assert again.verdict == "no_gap"
+    assert to_json(again)["effects"] == []
+
+
+def test_nothing_hidden_nothing_found(nothing_hidden):
+    result = to_json(nothing_hidden)
+    assert result["verdict"] == "no_gap"
+    assert (result["effects"], result["where"], result["unknown"]) == ([], [], [])
+
+
+def test_no_gap_gives_a_limit_of_detection_for_every_candidate(nothing_hidden):
+    result = to_json(nothing_hidden)
+    candidates = {c.name for c in nothing_hidden.machine.candidates()}
+    assert set(result["detection_limits"]) == candidates
+    sizes = [v for limits in result["detection_limits"].values() for v in limits.values()]
+    assert all(np.isfinite(v) and v > 0 for v in sizes)
+    # What these logs show of a motor: better than a tenth, no better than a thousandth.
+    assert 1e-3 < result["detection_limits"]["weak_motor (wheel 3)"]["scale"] < 0.1
+
+
+def test_friction_of_all_wheels_is_named_for_all(tmp_path):
+    """In closed loop, rubbing by another curve than the believed one."""
+    hidden = typical_effect("coulomb_friction")
+    model, logs = robot_case(tmp_path, hidden, friction_curve="tanh", closed_loop=True)
+    effects = {
+        (e["name"], e["wheel"]): e["parameters"] for e in to_json(found(model, logs))["effects"]
+    }
+    assert ("coulomb_friction", None) in effects
+    assert set(effects) <= {("coulomb_friction", None), ("contact_shape", None)}
+    torque = effects["coulomb_friction", None]["torque_nm"]["value"]
+    assert torque == pytest.approx(hidden.parameters["torque_nm"], rel=0.1)
+
+
+def test_encoders_alone_are_enough_for_a_motor(tmp_path):
+    model, logs = robot_case(tmp_path, typical_effect("weak_motor", 3), drop=("gyro", "pose"))
+    result = to_json(found(model, logs))
+    assert [(e["name"], e["wheel"]) for e in result["effects"]] == [("weak_motor", 3)]
+    assert all(channel.startswith("wheel/") for channel in result["gap"]["channels"])
+
+
+# ---- gap.json ----
+
+NUMBER = (int, float)
+OPTIONAL_NUMBER = (int, float, type(None))
+
+
+def assert_shape(value, shape):
+    """`shape`: a type, a tuple of types, [shape of items], {key: shape} or {str: shape of all}."""
+    kind = shape if isinstance(shape, (type, tuple)) else type(shape)
+    assert isinstance(value, kind), f"{value!r} is no {kind}"
+    items = value if isinstance(shape, list) else []
+    for item in items:
+        assert_shape(item, shape[0])
+    keys = shape if isinstance(shape, dict) else {}
+    for key, inner in keys.items():
+        named = list(value) if key is str else [key]
+        for name in named:
+            assert_shape(value[name], inner)
+
+
+EFFECT = {
+    "name": str,
+    "wheel": (int, type(None)),
+    "parameters": {str: {"value": NUMBER, "low": NUMBER, "high": NUMBER}},
+    "ambiguous_with": [str],
+    "separating_manoeuvre": (str, type(None)),
+    "evidence": {str: NUMBER},
+}
+SHAPE = {
+    "schema": str,
+    "verdict": str,
+    "where": [{"channel": str, "condition": str, "share_of_gap": NUMBER, "windows_s": [list]}],
+    "effects": [EFFECT],
+    "gap": {
+        "held_out_runs": [str],
+        "channels": {
+            str: {"believed": NUMBER, "refit": NUMBER, "after": NUMBER, "noise_floor": NUMBER}
+        },
+        "closed_fraction": {
+            "value": OPTIONAL_NUMBER,
+            "low": OPTIONAL_NUMBER,
+            "high": OPTIONAL_NUMBER,
+        },
+    },
+    "detection_limits": {str: {str: NUMBER}},
+}
+
+
+def strict(text):
+    def refuse(constant):
+        raise AssertionError(f"{constant} is not JSON")
+
+    return json.loads(text, parse_constant=refuse)
+
+
+@pytest.mark.parametrize("case", ["weak_motor", "axis"])
+def test_gap_json_has_the_agreed_keys_and_types(case, request):
+    findings, *_, folder = request.getfixturevalue(case)
+    result = strict((folder / "gap.json").read_text())
+    assert_shape(result, SHAPE)
+    assert result["schema"] == "omnislip-gap/1"
+    assert result["verdict"] == findings.verdict
+    for run, begin, end in result["where"][0]["windows_s"]:
+        assert isinstance(run, str)
+        assert 0 <= begin < end
+    assert 0 < sum(place["share_of_gap"] for place in result["where"]) <= 1 + 1e-9
+
+
+def test_gap_json_of_no_gap_is_valid_too(nothing_hidden):
+    result = strict(json.dumps(to_json(nothing_hidden), allow_nan=False))
+    assert_shape(result, SHAPE)
+
+
+def test_results_are_three_files(weak_motor, axis):
+    for folder in (weak_motor[2], axis[1]):
+        assert sorted(p.name for p in folder.iterdir()) == ["gap.json", "report.html", "robot.toml"]
+
+
+def test_amended_file_holds_the_effect_of_the_json(weak_motor):
+    findings, _, folder = weak_motor
+    [written] = read_model(folder / "robot.toml").effects
+    [told] = to_json(findings)["effects"]
+    assert (written.name, written.wheel) == (told["name"], told["wheel"])
+    assert written.parameters == {k: v["value"] for k, v in told["parameters"].items()}
+
+
+# ---- axis ----
+
+
+def test_friction_of_an_axis_in_newtons(axis):
+    [effect] = to_json(axis[0])["effects"]
+    assert (effect["name"], effect["wheel"]) == ("coulomb_friction", None)
+    force = effect["parameters"]["force_n"]
+    assert force["low"] < 2.0 < force["high"]
+
+
+def test_second_run_on_the_amended_axis_finds_no_gap(axis, tmp_path):
+    _, logs = axis_case(tmp_path, seeds=range(20, 26))
+    assert found(axis[1] / "robot.toml", logs).verdict == "no_gap"
+
+
+def test_same_logs_same_result(axis, tmp_path):
+    model, logs = axis_case(tmp_path)
+    again, first = to_json(found(model, logs)), to_json(axis[0])
+    assert {k: again[k] for k in SHAPE} == {k: first[k] for k in SHAPE}
+
+
+# ---- held-out runs ----
+
+
+def test_what_is_held_out_changes_nothing_of_the_fit(axis, tmp_path):
+    """The held-out log is replaced by nonsense: the effect and its interval stay the same."""
+    model, logs = axis_case(tmp_path)
+    held = next(p for p in logs if p.stem in to_json(axis[0])["gap"]["held_out_runs"])
+    write_log(make_log(Bench(coulomb_n=9.0, mass_kg=20.0), 99), held)
+    spoilt, clean = to_json(found(model, logs)), to_json(axis[0])
+    assert spoilt["effects"] == clean["effects"]
+    assert spoilt["base"] == clean["base"]
+    assert spoilt["gap"] != clean["gap"]
+
+
+def stretches(runs):
+    """(name, row time) of every row."""
+    return {(run.name, float(t)) for run in runs for t in run.t_s}
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 6, 9, 12, 20])
+def test_no_row_is_in_two_parts_of_the_split(count, tmp_path):
+    model, _ = axis_case(tmp_path, seeds=())
+    logs = [make_log(Bench(), seed) for seed in range(count)]
+    split = split_runs(Machine(read_model(model)), logs)
+    parts = [stretches(part) for part in (split.fitting, split.validation, split.held_out)]
+    assert all(parts)
+    assert sum(map(len, parts)) == len(set.union(*parts)) == sum(len(log.t_s) for log in logs)
+    assert len(parts[2]) >= 0.1 * sum(map(len, parts))
+    assert len(parts[0]) >= sum(map(len, parts)) / 3
+
+
+@pytest.mark.parametrize("count", [1, 3, 6])
+def test_the_search_never_sees_a_held_out_row(count, tmp_path, monkeypatch):
+    seen = []
+
+    def spy(machine, fitting, validation, progress):
+        seen.append(stretches([*fitting, *validation]))
+        return search(machine, fitting, validation, progress)
+
+    search = find.search
+    monkeypatch.setattr(find, "search", spy)
+    findings = found(*axis_case(tmp_path, seeds=range(count)))
+    assert len(seen) == 1
+    assert not seen[0] & stretches(findings.split.held_out)
+
+
+# ---- not enough data ----
+
+
+def robot_log(rows, **columns):
+    t_s = np.arange(rows) * 0.005
+    wave = 0.3 * np.sin(5 * t_s)
+    values = {f"wheel/{w}/duty": wave for w in range(1, 5)}
+    turned = np.round(-3000 * np.cos(5 * t_s))
+    values |= {f"wheel/{w}/encoder_counts": turned for w in range(1, 5)}
+    return Log("run", t_s, values | columns)
+
+
+TOO_LITTLE = {
+    "0.2 s": (lambda: robot_log(40), "0.2 s"),
+    "zeros": (
+        lambda: robot_log(2000, **{c: np.zeros(2000) for c in robot_log(2).columns}),
+        "never changes",
+    ),
+    "a wheel that never moves": (
+        lambda: robot_log(2000, **{"wheel/2/encoder_counts": np.zeros(2000)}),
+        "wheel 2",
+    ),
+    "one step of the clock": (lambda: robot_log(2), "0.005 s"),
+}
+
+
+@pytest.mark.parametrize("case", TOO_LITTLE)
+def test_too_little_data_is_a_verdict(case, tmp_path):
+    make, reason = TOO_LITTLE[case]
+    model, _ = robot_case(tmp_path / "model")
+    write_log(make(), tmp_path / "run.csv")
+    findings = found(model, [tmp_path / "run.csv"])
+    result = strict(json.dumps(to_json(findings), allow_nan=False))
+    assert result["verdict"] == "insufficient_data"
+    assert reason in result["sentence"]
+    assert result["effects"] == []
+    assert findings.amended.values == read_model(model).values
