@@ -6,7 +6,9 @@
  *
  * M inertia or mass, g input gain, e back-EMF as viscous equivalent, b viscous friction,
  * m_p and l pendulum mass and length (0: none). The same friction effects act as on the robot's
- * shafts; "torque" is force on a linear axis.
+ * shafts; "torque" is force on a linear axis. Behind the state the memory (3) of memory.h: command
+ * that has left the driver, slack and twist of a soft gear; friction is then on the motor's side,
+ * the pendulum behind the gear, and the position is that of the motor.
  */
 #ifndef OMNISLIP_SIM_AXIS_PLANT_H
 #define OMNISLIP_SIM_AXIS_PLANT_H
@@ -32,10 +34,19 @@ struct AxisInternals {
 };
 
 template <class S>
+struct AxisStep {
+    double length_s, inverse_s;
+    S command, command_rate_1_s;
+};
+
+template <class S>
 class AxisPlant {
   public:
+    using Step = AxisStep<S>;
     static constexpr int kMotors = 1;
     static constexpr int kStates = 2;
+    static constexpr int kAll = kStates + 3; /* with memory */
+    enum MemoryIndex { kCommanded = 2, kSlack = 3, kTwist = 4 };
     static constexpr int kOutputs = 1; /* position */
     static constexpr int kBase = static_cast<int>(sizeof(kAxisBase) / sizeof(kAxisBase[0]));
     static constexpr Kind kKind = kAxis;
@@ -48,6 +59,7 @@ class AxisPlant {
         c_.viscous_friction_nm_s[0] = flat[2] + flat[3];
         c_.friction_speed = flat[7];
         input_gain_ = flat[1];
+        forget(c_);
         for (int i = 0; i < kEffectCount; ++i)
             active_[i] = active[i];
         for_each_effect(kMotors, [&](auto effect, int index, int slot) {
@@ -61,24 +73,44 @@ class AxisPlant {
         });
         inertia_ = c_.mass_kg + c_.inertia_kg_m2;
         gravity_torque_ = flat[4] * flat[5] * flat[6];
+        gear_.prepare(c_.play_rad[0], c_.stiffness_nm_rad[0], c_.damping_nm_s_rad[0], inertia_);
+        delays_ = any_differs(c_.delay_s, 1, 0.0);
+        soft_ = any_differs(c_.play_rad, 1, 0.0);
+        remembers_ = soft_ || any_differs(c_.driver_lag_s, 1, 0.0);
     }
 
-    void command(const S *u, S *driven) const {
+    /* The driver over a step from x [kAll] under a constant command. */
+    void begin_step(const S *x, const S *u, double length_s, Step &step) const {
         CommandTerm<S, 1> term;
         term.duty[0] = u[0];
         apply(kCommand, [&](auto effect, int slot) {
             using E = decltype(effect);
             E::command(term, values<E>(slot));
         });
-        driven[0] = term.duty[0];
+        step.command = term.duty[0];
+        if (!remembers_)
+            return;
+        step.length_s = length_s;
+        step.inverse_s = length_s > 0.0 ? 1.0 / length_s : 0.0;
+        const auto driver = Relaxation<S>::over(S(length_s), c_.driver_lag_s[0]);
+        const S ahead = step.command - x[kCommanded];
+        step.command_rate_1_s = driver.gained * S(step.inverse_s) * ahead;
+        step.command = step.command - driver.left * ahead;
     }
 
-    void derivative(const S *x, const S *driven, const S &, S *dx, AxisInternals<S> &in) const {
+    /* dx [kStates], with memory [kAll]. */
+    void derivative(const S *x, const Step &step, const S &, S *dx, AxisInternals<S> &in) const {
         using std::sin;
-        in.force = input_gain_ * driven[0];
+        in.force = input_gain_ * step.command;
         in.friction = friction(x, in.force);
         dx[0] = (in.force + in.friction - gravity_torque_ * sin(x[1])) / inertia_;
         dx[1] = x[0];
+        if (!remembers_)
+            return;
+        dx[kCommanded] = step.command_rate_1_s;
+        dx[kSlack] = dx[kTwist] = S(0.0);
+        if (soft_)
+            twist_gear(x, step, in, dx);
     }
 
     void output(const S *x, const S &, S *y) const {
@@ -89,14 +121,36 @@ class AxisPlant {
         S moving[2] = {S(1e-3) * c_.friction_speed, S(0.0)};
         S still[2] = {S(0.0), S(0.0)};
         const S slope = (friction(still, S(0.0)) - friction(moving, S(0.0))) / moving[0];
-        const S rate = slope / inertia_;
+        const S rate = slope / inertia_ + gear_.rate_1_s();
         double worst = 0.0;
         for (int i = 0; i < LaneCount<S>::value; ++i)
             worst = std::max(worst, lane(rate, i));
         return worst;
     }
 
+    const Constants<S, 1> &constants() const {
+        return c_;
+    }
+    bool remembers() const {
+        return remembers_;
+    }
+    bool delays() const {
+        return delays_;
+    }
+
   private:
+    void twist_gear(const S *x, const Step &step, const AxisInternals<S> &in, S *dx) const {
+        using std::sin;
+        const S motor = in.force + in.friction;
+        const S road = gravity_torque_ * sin(x[1] - x[kTwist]);
+        if (step.length_s == kForever_s) {
+            dx[kTwist] = gear_.settled_twist(motor, road, dx[0]) * S(step.inverse_s);
+        } else {
+            gear_.accelerate(motor, road, x[kTwist], x[kSlack], dx[0], dx[kSlack]);
+            dx[kTwist] = -x[kSlack];
+        }
+    }
+
     template <class E>
     Values<S> values(int slot) const {
         return {effects_ + slot, effect_stride(E::info, kMotors)};
@@ -135,6 +189,8 @@ class AxisPlant {
 
     Constants<S, 1> c_;
     S inertia_, input_gain_, gravity_torque_;
+    SoftGear<S> gear_;
+    bool delays_ = false, remembers_ = false, soft_ = false;
     const S *effects_ = nullptr;
     bool active_[kEffectCount] = {};
     unsigned hooks_ = 0;

@@ -36,6 +36,8 @@ class Robot {
         plant_.prepare(values_.data(), active);
         rate_1_s_ = plant_.fastest_rate_1_s();
         rad_per_count_ = 2.0 * kPi / values_[RobotLayout::kBase - 1];
+        hold_duty(-kTick_s);
+        settle(plant_, x_, duty_, 0.0, in_);
         refresh(0.0);
     }
 
@@ -55,6 +57,12 @@ class Robot {
             duty_[i] = duty_q15[i] / 32768.0;
     }
 
+    /* The duty holds from now on; all of them are kept because a late driver still acts on them. */
+    void hold_duty(double time_s) {
+        times_s_.push_back(time_s);
+        duties_.insert(duties_.end(), duty_, duty_ + 4);
+    }
+
     void push(const Impulse &impulse) {
         const auto &c = plant_.constants();
         const double theta = x_[RobotLayout::kPose + 2];
@@ -69,14 +77,14 @@ class Robot {
     }
 
     void run_tick(double time_s) {
-        advance(plant_, x_, duty_, time_s, kTick_s, step_s_, rate_1_s_, in_);
+        advance(plant_, x_, commands(), time_s, kTick_s, step_s_, rate_1_s_, in_);
     }
 
     /* Currents, slip and forces at the present state and duty. */
     void refresh(double time_s) {
-        double driven[4], dx[RobotLayout::kStates];
-        plant_.command(duty_, driven);
-        plant_.derivative(x_, driven, time_s, dx, in_);
+        double command[4], dx[RobotLayout::kAll];
+        commands()(time_s, time_s, command);
+        look(plant_, x_, command, time_s, dx, in_);
         plant_.output(x_, time_s, sensed_);
     }
 
@@ -94,10 +102,14 @@ class Robot {
     }
 
   private:
-    std::vector<double> values_;
+    LoggedCommands<RobotPlant<double>> commands() const {
+        return {plant_, times_s_.data(), duties_.data(), static_cast<long>(times_s_.size()) - 1};
+    }
+
+    std::vector<double> values_, times_s_, duties_;
     double step_s_;
     RobotPlant<double> plant_;
-    double x_[RobotLayout::kStates] = {};
+    double x_[RobotLayout::kAll] = {};
     double duty_[4] = {};
     double sensed_[RobotLayout::kOutputs] = {};
     RobotInternals<double> in_ = {};
@@ -251,6 +263,7 @@ ClosedLoopLog run_closed_loop(const std::vector<double> &values,
         std::uint16_t counts[4];
         robot.counts(counts);
         control_loop_tick(&loop);
+        robot.hold_duty(time_s);
         robot.refresh(time_s);
         record(log, time_s, robot, counts, loop.telemetry);
         robot.run_tick(time_s);

@@ -94,6 +94,9 @@ struct Constants {
     S source_resistance_ohm;
     S encoder_scale[N];
     S friction_speed; /* rad/s at the shaft; a Coulomb torque is smoothed over it */
+    /* memory: see memory.h */
+    S delay_s[N], driver_lag_s[N], inductance_h[N], heating_1_a2_s[N], bristle_length_m[N];
+    S play_rad[N], stiffness_nm_rad[N], damping_nm_s_rad[N];
 };
 
 template <class S, int N>
@@ -250,6 +253,78 @@ struct DriverNonlinearity : Effect {
         for (int i = 0; i < N; ++i) {
             c.duty[i] = c.duty[i] * (S(1.0) + p(0, i) * c.duty[i] * c.duty[i]);
         }
+    }
+};
+
+struct ActuationDelay : Effect {
+    static constexpr EffectInfo info = {"actuation_delay",
+                                        "The driver acts on the command of a moment ago.",
+                                        "d(t - delay); before the log begins its first d",
+                                        "driver",
+                                        "transport and computing time",
+                                        Scope::kCommon,
+                                        kRobot | kAxis,
+                                        kPrepare,
+                                        1,
+                                        {{"delay_s", "s", 0.0, 0.0, 0.1, 0.004}}};
+    template <class S, int N>
+    static void prepare(Constants<S, N> &c, const Values<S> &p) {
+        for (int i = 0; i < N; ++i)
+            c.delay_s[i] = p(0, i);
+    }
+};
+
+struct DriverLag : Effect {
+    static constexpr EffectInfo info = {"driver_lag",
+                                        "The driver approaches its command gradually.",
+                                        "lag d' = d_command - d",
+                                        "driver",
+                                        "first-order filter of the bridge or its input",
+                                        Scope::kCommon,
+                                        kRobot | kAxis,
+                                        kPrepare,
+                                        1,
+                                        {{"time_constant_s", "s", 0.0, 0.0, 0.2, 0.004}}};
+    template <class S, int N>
+    static void prepare(Constants<S, N> &c, const Values<S> &p) {
+        for (int i = 0; i < N; ++i)
+            c.driver_lag_s[i] = p(0, i);
+    }
+};
+
+struct ArmatureInductance : Effect {
+    static constexpr EffectInfo info = {"armature_inductance",
+                                        "The winding's inductance makes the current late.",
+                                        "La i' = d V - k3 W - Ra i",
+                                        "motor",
+                                        "paper eq. (6), kept",
+                                        Scope::kCommon,
+                                        kRobot,
+                                        kPrepare,
+                                        1,
+                                        {{"inductance_h", "H", 0.0, 0.0, 0.02, 8e-4}}};
+    template <class S, int N>
+    static void prepare(Constants<S, N> &c, const Values<S> &p) {
+        for (int i = 0; i < N; ++i)
+            c.inductance_h[i] = p(0, i);
+    }
+};
+
+struct WindingHeating : Effect {
+    static constexpr EffectInfo info = {"winding_heating",
+                                        "The current warms the winding and raises its resistance.",
+                                        "Ra (1 + c Q), Q' = i^2 - Q / 60 s, cold at first",
+                                        "motor",
+                                        "copper, 0.4 % per kelvin",
+                                        Scope::kCommon,
+                                        kRobot,
+                                        kPrepare,
+                                        1,
+                                        {{"coefficient", "1/(A^2 s)", 0.0, 0.0, 0.1, 0.002}}};
+    template <class S, int N>
+    static void prepare(Constants<S, N> &c, const Values<S> &p) {
+        for (int i = 0; i < N; ++i)
+            c.heating_1_a2_s[i] = p(0, i);
     }
 };
 
@@ -519,6 +594,47 @@ struct Cogging : Effect {
     }
 };
 
+struct GearBacklash : Effect {
+    static constexpr EffectInfo info = {
+        "gear_backlash",
+        "The gear has play: after a reversal the motor turns before the wheel does.",
+        "no torque while the twist at the wheel is within +-angle / 2",
+        "gear",
+        "play between the teeth",
+        Scope::kCommon,
+        kRobot | kAxis,
+        kPrepare,
+        1,
+        {{"angle_rad", "rad", 0.0, 0.0, 0.5, 0.01}}};
+    template <class S, int N>
+    static void prepare(Constants<S, N> &c, const Values<S> &p) {
+        for (int i = 0; i < N; ++i)
+            c.play_rad[i] = p(0, i);
+    }
+};
+
+struct ShaftCompliance : Effect {
+    static constexpr EffectInfo info = {
+        "shaft_compliance",
+        "The shaft between motor and wheel is a spring.",
+        "wheel torque = stiffness twist + damping twist'",
+        "gear",
+        "spring and damper at the wheel side, a fifth of J0 behind them",
+        Scope::kCommon,
+        kRobot,
+        kPrepare,
+        2,
+        {{"stiffness_nm_rad", "N m/rad", kUnbounded, 5.0, kUnbounded, 100.0},
+         {"damping_nm_s_rad", "N m s/rad", 0.1, 0.0, 10.0, 0.0}}};
+    template <class S, int N>
+    static void prepare(Constants<S, N> &c, const Values<S> &p) {
+        for (int i = 0; i < N; ++i) {
+            c.stiffness_nm_rad[i] = p(0, i);
+            c.damping_nm_s_rad[i] = p(1, i);
+        }
+    }
+};
+
 struct ForceOffset : Effect {
     static constexpr EffectInfo info = {
         "force_offset",
@@ -714,28 +830,51 @@ struct ContactShape : Effect {
     static constexpr EffectInfo info = {
         "contact_shape",
         "The friction law bends otherwise between stick and slide.",
-        "(1 - b - c) (2/pi) atan(k s) + b tanh(x) + c x / sqrt(1 + x^2), x = (2/pi) k s",
+        "(1 - b - c) (2/pi) atan(k s) + b tanh(x) + c x / sqrt(1 + x^2), x = (2/pi) k s; the "
+        "rollers' law takes the share `roller` of that change",
         "contact",
-        "tyre and brush laws against the arctangent; c only where b alone does not fit",
+        "tyre and brush laws against the arctangent; c and roller only where b does not suffice",
         Scope::kWhole,
         kRobot,
         kContact,
-        2,
-        {{"blend", "1", 0.0, -1.0, 2.5, 0.4}, {"brush", "1", 0.0, -2.5, 2.5, 0.3}}};
+        3,
+        {{"blend", "1", 0.0, -1.0, 2.5, 0.4},
+         {"brush", "1", 0.0, -2.5, 2.5, 0.3},
+         {"roller", "1", 0.0, -0.5, 1.5, 0.5}}};
     template <class S, int N>
     static void contact(ContactTerm<S, N> &c, const Values<S> &p) {
         for (int i = 0; i < N; ++i) {
-            c.shape[i] = bend(c.shape[i], c.scaled_slip[i], p);
-            c.roller_shape[i] = bend(c.roller_shape[i], c.scaled_roller[i], p);
+            c.shape[i] = c.shape[i] + change(c.shape[i], c.scaled_slip[i], p);
+            const S across = change(c.roller_shape[i], c.scaled_roller[i], p);
+            c.roller_shape[i] = c.roller_shape[i] + p(2) * across;
         }
     }
     template <class S>
-    static S bend(const S &shape, const S &scaled_slip, const Values<S> &p) {
+    static S change(const S &shape, const S &scaled_slip, const Values<S> &p) {
         using std::sqrt;
         using std::tanh;
         const S x = S(2.0 / kPi) * scaled_slip;
         const S brush = x / sqrt(S(1.0) + x * x);
-        return shape + p(0) * (tanh(x) - shape) + p(1) * (brush - shape);
+        return p(0) * (tanh(x) - shape) + p(1) * (brush - shape);
+    }
+};
+
+struct BristleRelaxation : Effect {
+    static constexpr EffectInfo info = {
+        "bristle_relaxation",
+        "The drive force follows the slip after some rolling on.",
+        "z' = abs(s) (phi(s) - z) / (length abs(phi(s))), force = N mu z",
+        "contact",
+        "LuGre bristles, phi the friction law as a share of its limit",
+        Scope::kCommon,
+        kRobot,
+        kPrepare,
+        1,
+        {{"length_m", "m", 0.0, 0.0, 0.05, 0.001}}};
+    template <class S, int N>
+    static void prepare(Constants<S, N> &c, const Values<S> &p) {
+        for (int i = 0; i < N; ++i)
+            c.bristle_length_m[i] = p(0, i);
     }
 };
 
@@ -1176,17 +1315,17 @@ struct EncoderDropout : Effect {
     }
 };
 
-using Catalogue =
-    std::tuple<SupplySag, StateOfChargeDrift, DeadZone, DriverNonlinearity, CurrentLimit,
-               DriverFreewheel, WeakMotor, TorqueConstantError, MotorInertiaError,
-               ViscousFrictionError, CoulombFriction, AsymmetricFriction, StribeckFriction,
-               LoadDependentFriction, QuadraticWheelDrag, OneWheelDrag, Cogging, ForceOffset,
-               WheelRadiusError, WheelEccentricity, WheelAngleError, WheelDistanceError, LowGrip,
-               UnevenGrip, SlipStiffnessError, GripFalloff, GripDrift, ContactShape,
-               CarpetAnisotropy, SlipperyPatch, RollerFriction, RollerRipple, RollingResistance,
-               LoadTransfer, DiagonalLoadBias, Payload, InertiaError, CogOffset, FloorSlope,
-               BodyDrag, QuadraticBodyDrag, TetherSpring, YawScrub, PoseLatency, ClockSkew,
-               PoseRotation, GyroBias, GyroScale, EncoderScale, EncoderDropout>;
+using Catalogue = std::tuple<
+    SupplySag, StateOfChargeDrift, DeadZone, DriverNonlinearity, ActuationDelay, DriverLag,
+    ArmatureInductance, WindingHeating, CurrentLimit, DriverFreewheel, WeakMotor,
+    TorqueConstantError, MotorInertiaError, ViscousFrictionError, CoulombFriction,
+    AsymmetricFriction, StribeckFriction, LoadDependentFriction, QuadraticWheelDrag, OneWheelDrag,
+    Cogging, GearBacklash, ShaftCompliance, ForceOffset, WheelRadiusError, WheelEccentricity,
+    WheelAngleError, WheelDistanceError, LowGrip, UnevenGrip, SlipStiffnessError, GripFalloff,
+    GripDrift, ContactShape, BristleRelaxation, CarpetAnisotropy, SlipperyPatch, RollerFriction,
+    RollerRipple, RollingResistance, LoadTransfer, DiagonalLoadBias, Payload, InertiaError,
+    CogOffset, FloorSlope, BodyDrag, QuadraticBodyDrag, TetherSpring, YawScrub, PoseLatency,
+    ClockSkew, PoseRotation, GyroBias, GyroScale, EncoderScale, EncoderDropout>;
 
 constexpr int kEffectCount = static_cast<int>(std::tuple_size<Catalogue>::value);
 

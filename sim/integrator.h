@@ -1,5 +1,8 @@
 /* integrator.h - one classical Runge-Kutta step (RK4) of a plant under constant command.
  *
+ * The plant's memory rides along (memory.h): its derivative is (value at the end of the step -
+ * value at its begin) / h, so the weighted sum of the stages gives that end value.
+ *
  * Error per step O(h^5), stable for h * rate < 2.78 on the negative real axis. `step_count` keeps
  * h * rate <= 1.4 and h <= the wanted step, so a stiff contact is cut finer instead of blowing up.
  */
@@ -9,6 +12,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "memory.h"
+
 namespace omnislip {
 
 inline int step_count(double duration_s, double step_s, double fastest_rate_1_s) {
@@ -16,34 +21,55 @@ inline int step_count(double duration_s, double step_s, double fastest_rate_1_s)
     return std::max(1, static_cast<int>(std::ceil(steps - 1e-9)));
 }
 
-template <class Plant, class S, class Internals>
-inline void rk4_step(const Plant &plant, S *x, const S *driven, double time_s, double h,
+/* One step of the first n states. */
+template <int n, class Plant, class S, class Step, class Internals>
+inline void rk4_step(const Plant &plant, S *x, const Step &step, double time_s, double h,
                      Internals &in) {
-    constexpr int n = Plant::kStates;
     const S half(0.5 * h), full(h), sixth(h / 6.0), third(h / 3.0);
     const S begin(time_s), middle(time_s + 0.5 * h), end(time_s + h);
     S k[n], sum[n], probe[n];
-    plant.derivative(x, driven, begin, k, in);
+    plant.derivative(x, step, begin, k, in);
     for (int i = 0; i < n; ++i) {
         sum[i] = x[i] + sixth * k[i];
         probe[i] = x[i] + half * k[i];
     }
-    plant.derivative(probe, driven, middle, k, in);
+    plant.derivative(probe, step, middle, k, in);
     for (int i = 0; i < n; ++i) {
         sum[i] = sum[i] + third * k[i];
         probe[i] = x[i] + half * k[i];
     }
-    plant.derivative(probe, driven, middle, k, in);
+    plant.derivative(probe, step, middle, k, in);
     for (int i = 0; i < n; ++i) {
         sum[i] = sum[i] + third * k[i];
         probe[i] = x[i] + full * k[i];
     }
-    plant.derivative(probe, driven, end, k, in);
+    plant.derivative(probe, step, end, k, in);
     for (int i = 0; i < n; ++i)
         x[i] = sum[i] + sixth * k[i];
 }
 
-/* Advances x from time_s by duration_s under one command. */
+/* Advances x [Plant::kAll] from time_s by duration_s; `commands(begin_s, end_s, command)` gives
+ * the mean command over a step. */
+template <class Plant, class S, class Commands, class Internals>
+inline void advance(const Plant &plant, S *x, const Commands &commands, double time_s,
+                    double duration_s, double step_s, double fastest_rate_1_s, Internals &in) {
+    const int steps = step_count(duration_s, step_s, fastest_rate_1_s);
+    const double h = duration_s / steps;
+    S command[Plant::kMotors];
+    typename Plant::Step step;
+    for (int i = 0; i < steps; ++i) {
+        const double begin_s = time_s + i * h;
+        commands(begin_s, begin_s + h, command);
+        plant.begin_step(x, command, h, step);
+        if (plant.remembers()) {
+            rk4_step<Plant::kAll>(plant, x, step, begin_s, h, in);
+        } else {
+            rk4_step<Plant::kStates>(plant, x, step, begin_s, h, in);
+        }
+    }
+}
+
+/* The same of a plant without memory under one command. */
 template <class Plant, class S, class Internals>
 inline void advance(const Plant &plant, S *x, const S *command, double time_s, double duration_s,
                     double step_s, double fastest_rate_1_s, Internals &in) {
@@ -52,7 +78,31 @@ inline void advance(const Plant &plant, S *x, const S *command, double time_s, d
     const int steps = step_count(duration_s, step_s, fastest_rate_1_s);
     const double h = duration_s / steps;
     for (int i = 0; i < steps; ++i)
-        rk4_step(plant, x, driven, time_s + i * h, h, in);
+        rk4_step<Plant::kStates>(plant, x, driven, time_s + i * h, h, in);
+}
+
+/* What the plant does in an instant: derivative dx [Plant::kAll] and internals. */
+template <class Plant, class S, class Internals>
+inline void look(const Plant &plant, const S *x, const S *command, double time_s, S *dx,
+                 Internals &in) {
+    typename Plant::Step step;
+    plant.begin_step(x, command, 0.0, step);
+    plant.derivative(x, step, S(time_s), dx, in);
+}
+
+/* Fills the memory behind the states of x: all as if this had lasted for long, windings cold. */
+template <class Plant, class S, class Internals>
+inline void settle(const Plant &plant, S *x, const S *command, double time_s, Internals &in) {
+    for (int i = Plant::kStates; i < Plant::kAll; ++i)
+        x[i] = S(0.0);
+    if (!plant.remembers())
+        return;
+    typename Plant::Step step;
+    S dx[Plant::kAll];
+    plant.begin_step(x, command, kForever_s, step);
+    plant.derivative(x, step, S(time_s), dx, in);
+    for (int i = Plant::kStates; i < Plant::kAll; ++i)
+        x[i] = dx[i] * S(kForever_s);
 }
 
 }  // namespace omnislip

@@ -8,6 +8,7 @@
 #define OMNISLIP_SIM_LANES_H
 
 #include <cmath>
+#include <type_traits>
 #include <xsimd/xsimd.hpp>
 
 namespace omnislip {
@@ -33,6 +34,34 @@ inline double lane(double value, int) {
 template <class T, class A>
 double lane(const xsimd::batch<T, A> &value, int index) {
     return value.get(static_cast<std::size_t>(index));
+}
+
+/* The value whose lane k is `value(k)`. */
+template <class S, class Value>
+S from_lanes(Value &&value) {
+    if constexpr (std::is_same<S, double>::value) {
+        return value(0);
+    } else {
+        alignas(64) double spread[LaneCount<S>::value];
+        for (int k = 0; k < LaneCount<S>::value; ++k)
+            spread[k] = value(k);
+        return S::load_aligned(spread);
+    }
+}
+
+/* Arctangents of n values, in place; of doubles as many at once as every processor can. */
+template <int n, class S>
+void arctangents(S *values) {
+    using std::atan;
+    if constexpr (std::is_same<S, double>::value) {
+        using Pair = xsimd::batch<S>;
+        static_assert(n % static_cast<int>(Pair::size) == 0, "whole batches only");
+        for (int i = 0; i < n; i += static_cast<int>(Pair::size))
+            atan(Pair::load_unaligned(values + i)).store_unaligned(values + i);
+    } else {
+        for (int i = 0; i < n; ++i)
+            values[i] = atan(values[i]);
+    }
 }
 
 template <class S>

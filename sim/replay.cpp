@@ -78,7 +78,7 @@ class RowUpdate {
         const Matrix learned = k * ph.transpose();
         for (int i = 0; i < states_; ++i)
             correction_variance[i] = learned(i, i);
-        x += k * innovation;
+        x.head(states_) += k * innovation;
         p -= learned;
         p = (0.5 * (p + p.transpose())).eval();
         for (int a = 0; a < m; ++a) {
@@ -145,12 +145,14 @@ Track track(const Kernel &kernel, const Recording &recording, const double *valu
     }
     const Eigen::Map<const Vector> process(noise.process.data(), n);
     const Eigen::Map<const Vector> variance(noise.output.data(), m);
-    Vector x = Eigen::Map<const Vector>(recording.initial_state.data(), n);
+    Vector x = Vector::Zero(kernel.states_and_memory());
+    x.head(n) = Eigen::Map<const Vector>(recording.initial_state.data(), n);
+    kernel.settle(loaded.get(), recording, x.data());
     Matrix p = Eigen::Map<const Vector>(noise.initial.data(), n).asDiagonal();
     Matrix free = p; /* covariance of a replay that runs since its last restart */
     double restart_s = recording.time_s[0] + kSettleTime_s;
     Matrix transition(n, n), slope(m, n);
-    Vector predicted(m), next(n), mistiming = Vector::Zero(m);
+    Vector predicted(m), next(x.size()), mistiming = Vector::Zero(m);
     const RowUpdate update(n, m);
     for (std::size_t k = 0; k < rows; ++k) {
         const double *measured = &recording.output[k * m];
@@ -167,7 +169,7 @@ Track track(const Kernel &kernel, const Recording &recording, const double *valu
             update(sampled_outputs(measured, m), measured, predicted, slope, variance, mistiming, x,
                    p, &result.gain[k * n * m], &result.whitening[k * m * m],
                    &result.correction_variance[k * n]);
-        std::copy(x.data(), x.data() + n, &result.state[k * n]);
+        std::copy_n(x.data(), n, &result.state[k * n]);
         if (recording.time_s[k] >= restart_s) {
             free = p;
             restart_s += window_s;
@@ -175,9 +177,9 @@ Track track(const Kernel &kernel, const Recording &recording, const double *valu
         if (k + 1 == rows)
             break;
         const double duration_s = recording.time_s[k + 1] - recording.time_s[k];
-        kernel.linearise(loaded.get(), &recording.command[k * kernel.motors()], recording.time_s[k],
-                         duration_s, step_s, x.data(), next.data(), transition.data());
-        mistiming = slope * (next - x) * (std::sqrt(noise.timing_s2) / duration_s);
+        kernel.linearise(loaded.get(), recording, static_cast<int>(k), step_s, x.data(),
+                         next.data(), transition.data());
+        mistiming = slope * (next - x).head(n) * (std::sqrt(noise.timing_s2) / duration_s);
         x = next;
         if (keep_linear)
             std::copy(transition.data(), transition.data() + n * n, &result.transition[k * n * n]);

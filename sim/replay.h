@@ -12,6 +12,8 @@
  * the measurements. replays      free-running simulation, restarted from the filtered state every
  * `window_s`: measured minus simulated, the error a user of the simulator sees.
  *
+ * A model with memory (memory.h) carries it from row to row; the filter corrects the states only.
+ *
  * Parameter sets run in SIMD lanes and on all cores. Layouts are row major:
  * command [row][motor], output [row][output], gain [row][state][output],
  * whitening [row][output][output], residuals [set][row][output].
@@ -63,21 +65,23 @@ class Kernel {
     virtual ~Kernel() = default;
     virtual int lanes() const = 0;
     virtual int states() const = 0;
+    virtual int states_and_memory() const = 0;
     virtual int outputs() const = 0;
     virtual int motors() const = 0;
     virtual int parameters() const = 0;
     virtual const char *instruction_set() const = 0;
     /* One parameter set, made ready for the three functions below. */
     virtual std::shared_ptr<const void> load(const double *values) const = 0;
-    /* next [states], transition [states][states] over one row. */
-    virtual void linearise(const void *loaded, const double *command, double time_s,
-                           double duration_s, double step_s, const double *state, double *next,
-                           double *transition) const = 0;
+    /* Fills the memory behind the states: as if the first row had lasted for long. */
+    virtual void settle(const void *loaded, const Recording &recording, double *state) const = 0;
+    /* From row `row` to the next: next [states_and_memory], transition [states][states]. */
+    virtual void linearise(const void *loaded, const Recording &recording, int row, double step_s,
+                           const double *state, double *next, double *transition) const = 0;
     /* output [outputs], slope [outputs][states]. */
     virtual void linearise_output(const void *loaded, double time_s, const double *state,
                                   double *output, double *slope) const = 0;
     /* Derivatives of the states of one set at many points: states [points][states], commands
-     * [points][motors], derivative [points][states]; time 0. */
+     * [points][motors], derivative [points][states]; time 0, memory settled. */
     virtual void derivatives(const void *loaded, int points, const double *states,
                              const double *commands, double *derivative) const = 0;
     /* First `count` <= lanes() sets from `values` on; residuals [set][row][output]. */

@@ -4,6 +4,7 @@
  * OMNISLIP_ARCH_NAME. Only templates over that architecture and plain pointers live here, so that
  * no function compiled for a wide instruction set can be linked into code for a narrow one.
  */
+#include <algorithm>
 #include <new>
 
 #include "axis_plant.h"
@@ -26,6 +27,7 @@ class KernelOf final : public Kernel {
     using Internals = decltype(internals_of(std::declval<Plant>()));
     static constexpr int kLanes = LaneCount<S>::value;
     static constexpr int kStates = Plant::kStates;
+    static constexpr int kAll = Plant::kAll;
     static constexpr int kOutputs = Plant::kOutputs;
     static constexpr int kMotors = Plant::kMotors;
     static constexpr int kMaxParameters = 400;
@@ -113,6 +115,22 @@ class KernelOf final : public Kernel {
         }
     }
 
+    static void settle_first(const Loaded &loaded, const Recording &recording, S *x,
+                             Internals &in) {
+        S command[kMotors];
+        broadcast(recording.command.data(), command, kMotors);
+        omnislip::settle(loaded.plant, x, command, recording.time_s[0], in);
+    }
+
+    /* x [kAll] from row k to the next. */
+    static void advance_row(const Loaded &loaded, const Recording &recording, long k, double step_s,
+                            S *x, Internals &in) {
+        const double *time_s = recording.time_s.data();
+        const LoggedCommands<Plant> commands(loaded.plant, time_s, recording.command.data(), k);
+        advance(loaded.plant, x, commands, time_s[k], time_s[k + 1] - time_s[k], step_s,
+                loaded.rate_1_s, in);
+    }
+
     static int total_parameters() {
         return Plant::kBase + effect_slot_count(kMotors);
     }
@@ -123,6 +141,9 @@ class KernelOf final : public Kernel {
     }
     int states() const override {
         return kStates;
+    }
+    int states_and_memory() const override {
+        return kAll;
     }
     int outputs() const override {
         return kOutputs;
@@ -141,18 +162,27 @@ class KernelOf final : public Kernel {
         return std::make_shared<const Loaded>(values, 1, total_parameters());
     }
 
-    void linearise(const void *loaded_set, const double *command, double time_s, double duration_s,
-                   double step_s, const double *state, double *next,
-                   double *transition) const override {
+    void settle(const void *loaded_set, const Recording &recording, double *state) const override {
+        S x[kAll];
+        Internals in;
+        broadcast(state, x, kStates);
+        settle_first(*static_cast<const Loaded *>(loaded_set), recording, x, in);
+        for (int i = kStates; i < kAll; ++i)
+            state[i] = lane(x[i], 0);
+    }
+
+    void linearise(const void *loaded_set, const Recording &recording, int row, double step_s,
+                   const double *state, double *next, double *transition) const override {
         const Loaded &loaded = *static_cast<const Loaded *>(loaded_set);
         const double probe = 1e-5;
-        S held[kMotors];
-        broadcast(command, held, kMotors);
         Internals in;
         for (int first = 0; first < kStates; first += kLanes - 1) {
-            S x[kStates];
+            S x[kAll];
             seed(state, first, probe, x);
-            advance(loaded.plant, x, held, time_s, duration_s, step_s, loaded.rate_1_s, in);
+            broadcast(state + kStates, x + kStates, kAll - kStates);
+            advance_row(loaded, recording, row, step_s, x, in);
+            for (int i = kStates; i < kAll; ++i)
+                next[i] = lane(x[i], 0);
             for (int i = 0; i < kStates; ++i) {
                 next[i] = lane(x[i], 0);
                 for (int j = first; j < kStates && j < first + kLanes - 1; ++j) {
@@ -182,14 +212,14 @@ class KernelOf final : public Kernel {
     void derivatives(const void *loaded_set, int points, const double *states,
                      const double *commands, double *derivative) const override {
         const Loaded &loaded = *static_cast<const Loaded *>(loaded_set);
-        S x[kStates], held[kMotors], driven[kMotors], dx[kStates];
+        S x[kAll], command[kMotors], dx[kAll];
         Internals in;
         for (int first = 0; first < points; first += kLanes) {
             const int count = points - first < kLanes ? points - first : kLanes;
             gather(states + static_cast<long>(first) * kStates, count, kStates, x);
-            gather(commands + static_cast<long>(first) * kMotors, count, kMotors, held);
-            loaded.plant.command(held, driven);
-            loaded.plant.derivative(x, driven, S(0.0), dx, in);
+            gather(commands + static_cast<long>(first) * kMotors, count, kMotors, command);
+            omnislip::settle(loaded.plant, x, command, 0.0, in);
+            look(loaded.plant, x, command, 0.0, dx, in);
             for (int i = 0; i < kStates; ++i) {
                 for (int k = 0; k < count; ++k) {
                     derivative[static_cast<long>(first + k) * kStates + i] = lane(dx[i], k);
@@ -202,9 +232,10 @@ class KernelOf final : public Kernel {
                      int count, double step_s, double *residuals) const override {
         const Loaded loaded(values, count, total_parameters());
         const long plane = static_cast<long>(recording.rows) * kOutputs;
-        S x[kStates], innovation[kOutputs], white[kOutputs], held[kMotors];
+        S x[kAll], innovation[kOutputs], white[kOutputs];
         Internals in;
         broadcast(recording.initial_state.data(), x, kStates);
+        settle_first(loaded, recording, x, in);
         for (long k = 0; k < recording.rows; ++k) {
             const double t = recording.time_s[k];
             innovate(loaded.plant, &recording.output[k * kOutputs], S(t), x, innovation);
@@ -217,11 +248,8 @@ class KernelOf final : public Kernel {
                 }
             }
             scatter(white, count, plane, residuals + k * kOutputs);
-            if (k + 1 == recording.rows)
-                break;
-            broadcast(&recording.command[k * kMotors], held, kMotors);
-            advance(loaded.plant, x, held, t, recording.time_s[k + 1] - t, step_s, loaded.rate_1_s,
-                    in);
+            if (k + 1 < recording.rows)
+                advance_row(loaded, recording, k, step_s, x, in);
         }
     }
 
@@ -229,11 +257,12 @@ class KernelOf final : public Kernel {
                  double step_s, double window_s, double *errors) const override {
         const Loaded loaded(values, count, total_parameters());
         const long plane = static_cast<long>(recording.rows) * kOutputs;
-        S filtered[kStates], free[kStates], innovation[kOutputs], error[kOutputs], held[kMotors];
+        S filtered[kAll], free[kAll], innovation[kOutputs], error[kOutputs];
         Internals in;
         broadcast(recording.initial_state.data(), filtered, kStates);
+        settle_first(loaded, recording, filtered, in);
         double restart_s = recording.time_s[0] + kSettleTime_s;
-        broadcast(recording.initial_state.data(), free, kStates);
+        std::copy_n(filtered, kAll, free);
         for (long k = 0; k < recording.rows; ++k) {
             const double t = recording.time_s[k];
             const double *measured = &recording.output[k * kOutputs];
@@ -242,16 +271,13 @@ class KernelOf final : public Kernel {
             innovate(loaded.plant, measured, S(t), filtered, innovation);
             correct(&track.gain[k * kStates * kOutputs], innovation, filtered);
             if (t >= restart_s) {
-                for (int i = 0; i < kStates; ++i)
-                    free[i] = filtered[i];
+                std::copy_n(filtered, kAll, free);
                 restart_s += window_s;
             }
             if (k + 1 == recording.rows)
                 break;
-            broadcast(&recording.command[k * kMotors], held, kMotors);
-            const double duration_s = recording.time_s[k + 1] - t;
-            advance(loaded.plant, filtered, held, t, duration_s, step_s, loaded.rate_1_s, in);
-            advance(loaded.plant, free, held, t, duration_s, step_s, loaded.rate_1_s, in);
+            advance_row(loaded, recording, k, step_s, filtered, in);
+            advance_row(loaded, recording, k, step_s, free, in);
         }
     }
 

@@ -1,7 +1,9 @@
 /* robot_plant.h - the four-wheeled robot with slip: seven degrees of freedom, eqs. (6)-(13).
  *
  * State x (14): W_i shaft speed [rad/s], a_i encoder angle [rad], i = 1..4; body velocity of the
- * wheel centre (vx, vy, w) in the body frame; world pose (x, y, theta).
+ * wheel centre (vx, vy, w) in the body frame; world pose (x, y, theta). Behind it the memory (24)
+ * of memory.h, per wheel: duty that has left the driver, armature current, heat of the winding,
+ * share of the grip that the bristles hold, slack (wheel speed - W / n) and twist of a soft gear.
  *
  *   bus       V = V0 - r sum(i_j d_j)                          (r = 0: V = V0)
  *   current   i = (d V - k3 W) / Ra                                                     (8)
@@ -24,7 +26,7 @@
 #ifndef OMNISLIP_SIM_ROBOT_PLANT_H
 #define OMNISLIP_SIM_ROBOT_PLANT_H
 
-#include "effects.h"
+#include "memory.h"
 
 namespace omnislip {
 
@@ -61,25 +63,48 @@ constexpr BaseParameter kRobotBase[] = {
 struct RobotLayout {
     static constexpr int kMotors = 4;
     static constexpr int kStates = 14;
-    static constexpr int kOutputs = 8; /* encoder angles 4, gyro, x, y, theta */
+    static constexpr int kAll = kStates + 24; /* with memory */
+    static constexpr int kOutputs = 8;        /* encoder angles 4, gyro, x, y, theta */
     static constexpr int kBase = static_cast<int>(sizeof(kRobotBase) / sizeof(kRobotBase[0]));
     static constexpr Kind kKind = kRobot;
     enum StateIndex { kSpeed = 0, kAngle = 4, kVelocity = 8, kPose = 11 };
+    enum MemoryIndex {
+        kDrivenDuty = 14,
+        kCoilCurrent = 18,
+        kHeat = 22,
+        kGrip = 26,
+        kSlack = 30,
+        kTwist = 34
+    };
 };
 
 /* What the plant does inside a step, for logs, pictures and tests. */
 template <class S>
 struct RobotInternals {
     S bus_v;
+    S conductance_s[4]; /* of the armatures, 1 / Ra */
     S current_a[4], motor_torque_nm[4], friction_torque_nm[4];
     S load_n[4], slip_m_s[4], drive_force_n[4], roller_force_n[4], roller_speed_m_s[4];
     S hub_speed_m_s[4];
     S external_force_x_n, external_force_y_n, external_torque_nm;
 };
 
+/* What stays during one step: the duty on average over it; of the memory how lags relax. */
+template <class S>
+struct RobotStep {
+    S duty[4];
+    /* only with memory: */
+    double length_s, inverse_s; /* inverse 0 for an instant, in which memory stands still */
+    S current_a[4], grip[4];    /* at the begin */
+    S duty_rate_1_s[4];
+    S coil_gained[4], coil_left[4];
+};
+
 template <class S>
 class RobotPlant : public RobotLayout {
   public:
+    using Step = RobotStep<S>;
+
     /* `flat`: base parameters, then effect slots; `active`: one flag per effect. */
     void prepare(const S *flat, const bool *active) {
         effects_ = flat + kBase;
@@ -95,9 +120,10 @@ class RobotPlant : public RobotLayout {
             E::prepare(c_, values<E>(slot));
         });
         derive_geometry();
+        derive_memory();
     }
 
-    /* Duty as it leaves the driver, once per interval of constant duty. */
+    /* Duty as it leaves a driver without memory. */
     void command(const S *duty, S *driven) const {
         CommandTerm<S, 4> term;
         for (int i = 0; i < 4; ++i)
@@ -110,7 +136,15 @@ class RobotPlant : public RobotLayout {
             driven[i] = term.duty[i];
     }
 
-    void derivative(const S *x, const S *driven, const S &time_s, S *dx,
+    /* Driver and armature over a step from x [kAll] under a constant duty. */
+    void begin_step(const S *x, const S *duty, double length_s, Step &step) const {
+        command(duty, step.duty);
+        if (remembers_)
+            recall(x, length_s, step);
+    }
+
+    /* dx [kStates], with memory [kAll]. */
+    void derivative(const S *x, const Step &step, const S &time_s, S *dx,
                     RobotInternals<S> &in) const {
         using std::cos;
         using std::sin;
@@ -121,10 +155,11 @@ class RobotPlant : public RobotLayout {
         const S cos_theta = cos(x[kPose + 2]);
         const S sin_theta = sin(x[kPose + 2]);
 
-        motor(x, driven, time_s, in);
+        motor(x, step, time_s, in);
         S traction_per_load[4]; /* fT / N */
         S radius_m[4];
-        contact(x, time_s, in, traction_per_load, radius_m);
+        S grip_rate[4];
+        contact(x, step, time_s, in, traction_per_load, radius_m, grip_rate);
         BodyTerm<S, 4> external = outside(x, cos_theta, sin_theta, in);
         body(x, in, traction_per_load, external, dx);
 
@@ -134,6 +169,8 @@ class RobotPlant : public RobotLayout {
             dx[kSpeed + i] = torque / c_.shaft_inertia_kg_m2[i];
             dx[kAngle + i] = speed[i];
         }
+        if (remembers_)
+            memorise(x, step, in, radius_m, grip_rate, dx);
         if (hooks_ & kSensor)
             scale_encoders(x, time_s, dx);
         dx[kPose] = cos_theta * vx - sin_theta * vy;
@@ -167,13 +204,13 @@ class RobotPlant : public RobotLayout {
             const S damping = static_load_n_[i] * c_.mu_drive[i] * stiffness;
             const S ratio = c_.wheel_radius_m[i] / c_.gear_ratio;
             const S shaft =
-                damping * ratio * ratio +
+                damping * ratio * ratio * gear_[i].lightening() +
                 c_.torque_constant_nm_a[i] * c_.back_emf_constant_v_s_rad[i] / c_.resistance_ohm +
                 c_.viscous_friction_nm_s[i] + shaft_damping_[i];
             const S &lever = c_.wheel_distance_m;
             const S body =
                 S(4.0) * damping * max(S(1.0) / c_.mass_kg, lever * lever / c_.inertia_kg_m2);
-            rate = max(rate, shaft / c_.shaft_inertia_kg_m2[i] + body);
+            rate = max(rate, shaft / c_.shaft_inertia_kg_m2[i] + body + gear_[i].rate_1_s());
         }
         double worst = 0.0;
         for (int i = 0; i < LaneCount<S>::value; ++i)
@@ -183,6 +220,13 @@ class RobotPlant : public RobotLayout {
 
     const Constants<S, 4> &constants() const {
         return c_;
+    }
+    /* Whether the memory behind the states is in use, and whether commands act late. */
+    bool remembers() const {
+        return remembers_;
+    }
+    bool delays() const {
+        return delays_;
     }
 
   private:
@@ -215,6 +259,7 @@ class RobotPlant : public RobotLayout {
         c_.cog_x_m = c_.cog_y_m = c_.cog_height_m = S(0.0);
         c_.source_resistance_ohm = S(0.0);
         c_.friction_speed = S(2.0);
+        forget(c_);
         for (int i = 0; i < 4; ++i) {
             c_.wheel_radius_m[i] = p[2];
             c_.wheel_angle_rad[i] = p[4 + i] * S(kPi / 180.0);
@@ -260,6 +305,77 @@ class RobotPlant : public RobotLayout {
         }
     }
 
+    void derive_memory() {
+        conductance_s_ = S(1.0) / c_.resistance_ohm;
+        for (int i = 0; i < 4; ++i) {
+            gear_[i].prepare(c_.play_rad[i], c_.stiffness_nm_rad[i], c_.damping_nm_s_rad[i],
+                             c_.shaft_inertia_kg_m2[i] * c_.gear_ratio * c_.gear_ratio);
+        }
+        delays_ = any_differs(c_.delay_s, 4, 0.0);
+        inductive_ = any_differs(c_.inductance_h, 4, 0.0);
+        bristles_ = any_differs(c_.bristle_length_m, 4, 0.0);
+        soft_ = any_differs(c_.play_rad, 4, 0.0) || any_differs(c_.stiffness_nm_rad, 4, kUnbounded);
+        heats_ = any_differs(c_.heating_1_a2_s, 4, 0.0);
+        remembers_ =
+            inductive_ || heats_ || bristles_ || soft_ || any_differs(c_.driver_lag_s, 4, 0.0);
+    }
+
+    /* The part of begin_step that needs the memory. */
+    void recall(const S *x, double length_s, Step &step) const {
+        step.length_s = length_s;
+        step.inverse_s = length_s > 0.0 ? 1.0 / length_s : 0.0;
+        for (int i = 0; i < 4; ++i) {
+            const S *begin = x + i;
+            const auto driver = Relaxation<S>::over(S(length_s), c_.driver_lag_s[i]);
+            const S ahead = step.duty[i] - begin[kDrivenDuty];
+            step.duty_rate_1_s[i] = driver.gained * S(step.inverse_s) * ahead;
+            step.duty[i] = step.duty[i] - driver.left * ahead;
+            const S conductance_s = warm_conductance_s(x, i);
+            const auto coil = Relaxation<S>::over(S(length_s), c_.inductance_h[i] * conductance_s);
+            step.coil_gained[i] = coil.gained;
+            step.coil_left[i] = coil.left;
+            step.current_a[i] = begin[kCoilCurrent];
+            step.grip[i] = begin[kGrip];
+        }
+    }
+
+    S warm_conductance_s(const S *x, int i) const {
+        return conductance_s_ / (S(1.0) + c_.heating_1_a2_s[i] * x[kHeat + i]);
+    }
+
+    /* Derivatives of the memory, and of the shafts where a gear is soft. */
+    void memorise(const S *x, const Step &step, const RobotInternals<S> &in, const S *radius_m,
+                  const S *grip_rate, S *dx) const {
+        const bool settles = step.length_s == kForever_s;
+        for (int i = 0; i < 4; ++i) {
+            const S rate_1_s = step.coil_gained[i] * S(step.inverse_s);
+            const S steady_a = steady_current_a(i, step.duty[i], x[kSpeed + i], in);
+            const S heating = in.current_a[i] * in.current_a[i] - x[kHeat + i] / S(kCoolingTime_s);
+            dx[kDrivenDuty + i] = step.duty_rate_1_s[i];
+            dx[kCoilCurrent + i] = rate_1_s * (steady_a - step.current_a[i]);
+            dx[kHeat + i] = settles ? S(0.0) : heating;
+            dx[kGrip + i] = bristles_ ? grip_rate[i] : S(0.0);
+            dx[kSlack + i] = dx[kTwist + i] = S(0.0);
+            if (soft_)
+                twist_gear(i, x, step, in, radius_m[i] * in.drive_force_n[i], dx);
+        }
+    }
+
+    void twist_gear(int i, const S *x, const Step &step, const RobotInternals<S> &in,
+                    const S &road_nm, S *dx) const {
+        const S motor_nm = c_.gear_ratio * (in.motor_torque_nm[i] + in.friction_torque_nm[i]);
+        S acceleration;
+        if (step.length_s == kForever_s) {
+            dx[kTwist + i] =
+                gear_[i].settled_twist(motor_nm, road_nm, acceleration) * S(step.inverse_s);
+        } else {
+            gear_[i].accelerate(motor_nm, road_nm, x[kTwist + i], x[kSlack + i], acceleration,
+                                dx[kSlack + i]);
+            dx[kTwist + i] = -x[kSlack + i];
+        }
+        dx[kSpeed + i] = c_.gear_ratio * acceleration;
+    }
+
     /* Slope of the effects' shaft torques at standstill: the stiffness of smoothed dry friction. */
     void estimate_shaft_damping() {
         if (!(hooks_ & kShaft))
@@ -299,14 +415,16 @@ class RobotPlant : public RobotLayout {
     }
 
     /* Bus voltage, currents (8) and shaft torques (7). */
-    void motor(const S *x, const S *driven, const S &time_s, RobotInternals<S> &in) const {
+    void motor(const S *x, const Step &step, const S &time_s, RobotInternals<S> &in) const {
         const S *speed = x + kSpeed;
         SupplyTerm<S> supply{c_.supply_v, time_s};
         apply(kSupply, [&](auto effect, int slot) {
             using E = decltype(effect);
             E::supply(supply, values<E>(slot));
         });
-        balance_bus(speed, driven, supply.open_circuit_v, in);
+        for (int i = 0; i < 4; ++i)
+            in.conductance_s[i] = heats_ ? warm_conductance_s(x, i) : conductance_s_;
+        balance_bus(speed, step, supply.open_circuit_v, in);
         for (int i = 0; i < 4; ++i) {
             in.motor_torque_nm[i] = c_.torque_constant_nm_a[i] * in.current_a[i];
             in.friction_torque_nm[i] = -c_.viscous_friction_nm_s[i] * speed[i];
@@ -321,17 +439,25 @@ class RobotPlant : public RobotLayout {
 
     /* V = V0 - r sum(i d). With i linear in V the balance has a closed form. A limit or a
      * freewheeling driver bends i(V) at corners: Newton's method with the slope of the piece. */
-    void balance_bus(const S *speed, const S *driven, const S &open_circuit_v,
+    void balance_bus(const S *speed, const Step &step, const S &open_circuit_v,
                      RobotInternals<S> &in) const {
         const S &r = c_.source_resistance_ohm;
-        S conductance = S(0.0), emf_current = S(0.0);
-        for (int i = 0; i < 4; ++i) {
-            conductance = conductance + driven[i] * driven[i] / c_.resistance_ohm;
-            emf_current = emf_current + driven[i] * c_.back_emf_constant_v_s_rad[i] * speed[i] /
-                                            c_.resistance_ohm;
+        const S *driven = step.duty;
+        in.bus_v = open_circuit_v;
+        if (bus_sags_) {
+            S conductance = S(0.0), returned = S(0.0);
+            for (int i = 0; i < 4; ++i) {
+                S through = driven[i] * in.conductance_s[i];
+                if (inductive_) {
+                    through = through * (S(1.0) - step.coil_left[i]);
+                    returned = returned - driven[i] * step.coil_left[i] * step.current_a[i];
+                }
+                conductance = conductance + driven[i] * through;
+                returned = returned + through * c_.back_emf_constant_v_s_rad[i] * speed[i];
+            }
+            in.bus_v = (open_circuit_v + r * returned) / (S(1.0) + r * conductance);
         }
-        in.bus_v = (open_circuit_v + r * emf_current) / (S(1.0) + r * conductance);
-        armature(speed, driven, in);
+        armature(speed, step, in);
         if (!(hooks_ & kCurrent))
             return;
         limit_currents(speed, driven, in);
@@ -341,11 +467,11 @@ class RobotPlant : public RobotLayout {
             const S probe_v = S(1e-3), bus_v = in.bus_v;
             const S drawn = drawn_current(driven, in);
             in.bus_v = bus_v + probe_v;
-            armature(speed, driven, in);
+            armature(speed, step, in);
             limit_currents(speed, driven, in);
             const S slope = (drawn_current(driven, in) - drawn) / probe_v;
             in.bus_v = bus_v + (open_circuit_v - r * drawn - bus_v) / (S(1.0) + r * slope);
-            armature(speed, driven, in);
+            armature(speed, step, in);
             limit_currents(speed, driven, in);
         }
     }
@@ -357,11 +483,19 @@ class RobotPlant : public RobotLayout {
         return drawn;
     }
 
-    void armature(const S *speed, const S *driven, RobotInternals<S> &in) const {
+    void armature(const S *speed, const Step &step, RobotInternals<S> &in) const {
         for (int i = 0; i < 4; ++i) {
-            in.current_a[i] = (driven[i] * in.bus_v - c_.back_emf_constant_v_s_rad[i] * speed[i]) /
-                              c_.resistance_ohm;
+            const S steady_a = steady_current_a(i, step.duty[i], speed[i], in);
+            in.current_a[i] = steady_a;
+            if (inductive_) {
+                in.current_a[i] = steady_a + step.coil_left[i] * (step.current_a[i] - steady_a);
+            }
         }
+    }
+
+    /* (8) */
+    S steady_current_a(int i, const S &duty, const S &speed, const RobotInternals<S> &in) const {
+        return in.conductance_s[i] * (duty * in.bus_v - c_.back_emf_constant_v_s_rad[i] * speed);
     }
 
     void limit_currents(const S *speed, const S *driven, RobotInternals<S> &in) const {
@@ -379,13 +513,11 @@ class RobotPlant : public RobotLayout {
     }
 
     /* Slip and friction law (11)-(13), per unit of wheel load. */
-    void contact(const S *x, const S &time_s, RobotInternals<S> &in, S *traction_per_load,
-                 S *radius_m) const {
-        using std::atan;
+    void contact(const S *x, const Step &step, const S &time_s, RobotInternals<S> &in,
+                 S *traction_per_load, S *radius_m, S *grip_rate) const {
         const S &vx = x[kVelocity];
         const S &vy = x[kVelocity + 1];
         const S &omega = x[kVelocity + 2];
-        const S &k = c_.slip_stiffness_s_m;
         S mu[4], shape[4], roller_shape[4], force_scale[4];
         for (int i = 0; i < 4; ++i) {
             radius_m[i] = c_.wheel_radius_m[i];
@@ -397,21 +529,58 @@ class RobotPlant : public RobotLayout {
         if (hooks_ & kContact) {
             contact_effects(x, time_s, in, mu, radius_m, shape, roller_shape, force_scale);
         } else {
-            for (int i = 0; i < 4; ++i) {
-                in.slip_m_s[i] = radius_m[i] * x[kSpeed + i] / c_.gear_ratio - in.hub_speed_m_s[i];
-                shape[i] = S(2.0 / kPi) * atan(k * in.slip_m_s[i]);
-                roller_shape[i] = S(2.0 / kPi) * atan(k * in.roller_speed_m_s[i]);
-            }
+            for (int i = 0; i < 4; ++i)
+                in.slip_m_s[i] = radius_m[i] * wheel_speed(x, i) - in.hub_speed_m_s[i];
+            friction_law(in.slip_m_s, in.roller_speed_m_s, shape, roller_shape);
         }
+        if (bristles_)
+            bend_bristles(step, in, shape, grip_rate);
         for (int i = 0; i < 4; ++i) {
             traction_per_load[i] = mu[i] * shape[i] * force_scale[i];
             in.roller_force_n[i] = -c_.mu_roller * roller_shape[i];
         }
     }
 
+    /* (13) per friction limit: (2/pi) atan(k s) along and across the wheels. */
+    void friction_law(const S *slip_m_s, const S *roller_speed_m_s, S *shape,
+                      S *roller_shape) const {
+        S angle[8];
+        for (int i = 0; i < 4; ++i) {
+            angle[i] = c_.slip_stiffness_s_m * slip_m_s[i];
+            angle[4 + i] = c_.slip_stiffness_s_m * roller_speed_m_s[i];
+        }
+        arctangents<8>(angle);
+        for (int i = 0; i < 4; ++i) {
+            shape[i] = S(2.0 / kPi) * angle[i];
+            roller_shape[i] = S(2.0 / kPi) * angle[4 + i];
+        }
+    }
+
+    S wheel_speed(const S *x, int i) const {
+        const S rolling = x[kSpeed + i] / c_.gear_ratio;
+        return soft_ ? rolling + x[kSlack + i] : rolling;
+    }
+
+    /* The bristles' share of the grip relaxes to that of the friction law with the distance
+     * slipped; in: law, out: mean share over the step and rate of the share. */
+    void bend_bristles(const Step &step, const RobotInternals<S> &in, S *shape, S *rate) const {
+        using std::abs;
+        using std::max;
+        const S at_rest = S(2.0 / kPi) * c_.slip_stiffness_s_m; /* share per slip */
+        for (int i = 0; i < 4; ++i) {
+            const S share = abs(shape[i]);
+            const S slip_per_share = select(
+                share > S(1e-9), abs(in.slip_m_s[i]) / max(share, S(1e-9)), S(1.0) / at_rest);
+            const auto bristle =
+                Relaxation<S>::over(S(step.length_s) * slip_per_share, c_.bristle_length_m[i]);
+            const S ahead = shape[i] - step.grip[i];
+            rate[i] = bristle.gained * S(step.inverse_s) * ahead;
+            shape[i] = shape[i] - bristle.left * ahead;
+        }
+    }
+
     void contact_effects(const S *x, const S &time_s, RobotInternals<S> &in, S *mu, S *radius_m,
                          S *shape, S *roller_shape, S *force_scale) const {
-        using std::atan;
         ContactTerm<S, 4> term;
         term.shaft_angle_rad = x + kAngle;
         term.x_m = x[kPose];
@@ -424,17 +593,15 @@ class RobotPlant : public RobotLayout {
             term.force_scale[i] = force_scale[i];
             term.drive_direction_rad[i] =
                 x[kPose + 2] + c_.wheel_angle_rad[i] + c_.roller_angle_offset_rad[i] + S(kPi / 2.0);
-            term.slip_m_s[i] = radius_m[i] * x[kSpeed + i] / c_.gear_ratio - in.hub_speed_m_s[i];
+            term.slip_m_s[i] = radius_m[i] * wheel_speed(x, i) - in.hub_speed_m_s[i];
         }
         eccentric_radius(term);
         for (int i = 0; i < 4; ++i) {
-            term.slip_m_s[i] =
-                term.radius_m[i] * x[kSpeed + i] / c_.gear_ratio - in.hub_speed_m_s[i];
+            term.slip_m_s[i] = term.radius_m[i] * wheel_speed(x, i) - in.hub_speed_m_s[i];
             term.scaled_slip[i] = c_.slip_stiffness_s_m * term.slip_m_s[i];
-            term.shape[i] = S(2.0 / kPi) * atan(term.scaled_slip[i]);
             term.scaled_roller[i] = c_.slip_stiffness_s_m * in.roller_speed_m_s[i];
-            term.roller_shape[i] = S(2.0 / kPi) * atan(term.scaled_roller[i]);
         }
+        friction_law(term.slip_m_s, in.roller_speed_m_s, term.shape, term.roller_shape);
         apply(kContact, [&](auto effect, int slot) {
             using E = decltype(effect);
             if constexpr (!std::is_same<E, WheelEccentricity>::value) {
@@ -588,6 +755,10 @@ class RobotPlant : public RobotLayout {
     bool active_[kEffectCount] = {};
     unsigned hooks_ = 0;
     bool load_moves_ = false, bus_sags_ = false;
+    S conductance_s_;
+    SoftGear<S> gear_[4];
+    bool delays_ = false, remembers_ = false, inductive_ = false, heats_ = false;
+    bool bristles_ = false, soft_ = false;
 };
 
 }  // namespace omnislip

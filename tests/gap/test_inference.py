@@ -162,6 +162,15 @@ def test_keys_stay_within_two_tolerances(believed, mass_kg):
     assert at_bound(fitted, 0) == (abs(mass_kg / 10.0 - 1) > 0.04)
 
 
+def test_the_objective_is_chance_plus_what_the_keys_were_moved(believed):
+    data = Data(believed, make_runs(believed, Bench(), range(1)), true_noise(), believed.believed)
+    hypothesis = without_effects(believed)
+    x = hypothesis.x + np.array([1.0, -0.5, 2.0]) * [p.scale for p in hypothesis.base]
+    chance = np.sum(data.residuals(hypothesis.flat(believed.believed, x)[None]) ** 2)
+    moved = float(objective(data, hypothesis, x[None])[0]) - chance
+    assert moved == pytest.approx(1.0 + 0.25 + 4.0, rel=1e-6)
+
+
 def test_the_fit_is_where_the_objective_is_least(believed):
     data = Data(
         believed,

@@ -56,7 +56,7 @@ def three_runs(*sizes, floor=1.0):
 def test_closed_fraction_is_the_share_of_the_excess(refit, share):
     """Mean squares refit^2 and 1 + (1 - share)(refit^2 - 1) in floors of 1."""
     after = np.sqrt(1 + (1 - share) * (refit**2 - 1))
-    closed = closed_fraction(three_runs(refit, refit, after), [0, 1], np.ones(2))
+    closed = closed_fraction(three_runs(2 * refit, refit, after), [0, 1], np.ones(2))
     assert closed.value == pytest.approx(share, abs=1e-9)
     assert closed.low == pytest.approx(share, abs=1e-9)
     assert closed.high == pytest.approx(share, abs=1e-9)
@@ -105,7 +105,6 @@ def test_few_runs_are_cut_into_windows(count):
     assert closed.value == pytest.approx(1.0)
 
 
-@pytest.mark.xfail(reason="a blank window counts as an error of zero", strict=True)
 @pytest.mark.parametrize("count", [1, 2])
 def test_windows_in_which_a_channel_is_blank_do_not_count(count):
     """A camera that loses the robot for a second leaves no error there: not an error of zero."""
@@ -179,7 +178,6 @@ def test_a_channel_blank_in_one_run_only_is_judged_on_the_others():
     assert np.isfinite(table.floor).all()
 
 
-@pytest.mark.xfail(reason="the mean of no value warns on the user's terminal", strict=True)
 def test_a_channel_that_nobody_sampled_is_no_reason_to_warn(recwarn):
     replays = three_runs(4.0, 3.0, 2.0)
     for r in replays:

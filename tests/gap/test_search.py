@@ -61,10 +61,15 @@ def test_its_size_is_right_within_four_standard_deviations(outcomes, name):
     assert np.all(deviation < 0.1 * wanted) and np.all(deviation > 1e-3 * wanted)
 
 
-def test_the_simplest_of_equals_wins(outcomes):
-    """Stribeck and asymmetric friction hold Coulomb friction within them and fit as well."""
-    [selected] = outcomes["coulomb_friction"].selected
-    assert len(selected.candidate.parameters) == 1
+def test_the_simplest_of_equals_wins(machine):
+    """With these noises Stribeck friction, which holds Coulomb friction, fits a little better.
+
+    A parameter more has to gain 10.8, what chance gives once in a thousand.
+    """
+    outcome = find(machine, Bench(coulomb_n=0.5), first_seed=200)
+    gains = {t.candidate.effect: t.evidence.gain for t in outcome.trials if t.step == 1}
+    assert names(outcome) == ["coulomb_friction"]
+    assert 0 < gains["stribeck_friction"] - gains["coulomb_friction"] < 10.8
 
 
 def test_ladder_goes_down_to_the_final_model(outcomes):
@@ -143,19 +148,16 @@ def test_mass_and_inertia_of_an_axis_cannot_be_told_apart(machine):
     assert selected.values[0] == pytest.approx(1.0, abs=0.1)
 
 
-@pytest.mark.xfail(reason="the size of an effect in the model is never doubted", strict=True)
 def test_an_effect_of_the_model_with_the_wrong_size_is_named_again(tmp_path):
     """The model rubs with 1 N, the axis with 2 N: it is the friction that is wrong."""
     believed = make_machine(tmp_path, effects="[[effects.coulomb_friction]]\nforce_n = 1.0\n")
     assert names(find(believed, Bench(coulomb_n=2.0))) == ["coulomb_friction"]
 
 
-@pytest.mark.xfail(reason="its size is sought at 4e-8 N s2/m2, a shaft's", strict=True)
 def test_quadratic_drag_is_named(machine):
     assert names(find(machine, Bench(quadratic_n=5.0))) == ["quadratic_wheel_drag"]
 
 
-@pytest.mark.xfail(reason="checked without the change of the fitted parameters", strict=True)
 def test_what_no_effect_explains_is_said_to_be_left(machine):
     """Bearings that age are in no catalogue; viscous friction takes only their mean."""
     outcome = find(machine, Bench(ageing_n_m=2.0))

@@ -94,7 +94,6 @@ def test_small_shares_are_left_out_and_large_ones_come_first():
 # ---- from logs ----
 
 
-@pytest.mark.xfail(reason="one position sensor corrects force and position alike", strict=True)
 def test_friction_of_an_axis_is_in_its_force(tmp_path):
     machine = make_machine(tmp_path)
     bench = Bench(coulomb_n=2.0)

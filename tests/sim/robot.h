@@ -5,6 +5,7 @@
 #ifndef OMNISLIP_TESTS_SIM_ROBOT_H
 #define OMNISLIP_TESTS_SIM_ROBOT_H
 
+#include <algorithm>
 #include <array>
 #include <stdexcept>
 #include <string>
@@ -102,27 +103,40 @@ class Bench {
     Bench(const Bench &) = delete;
     Bench &operator=(const Bench &) = delete;
 
+    /* With the memory as if the command had lasted for long. */
     State derivative(const Command &command, double time_s = 0.0) {
-        Command driven;
-        State change;
-        plant.command(command.data(), driven.data());
-        plant.derivative(x.data(), driven.data(), time_s, change.data(), in);
-        return change;
+        std::array<double, Plant::kAll> all, change;
+        std::copy(x.begin(), x.end(), all.begin());
+        settle(plant, all.data(), command.data(), time_s, in);
+        look(plant, all.data(), command.data(), time_s, change.data(), in);
+        State states;
+        std::copy_n(change.begin(), Plant::kStates, states.begin());
+        return states;
     }
 
+    /* The first command has lasted for long before. */
     void drive(const Command &command, double duration_s, double step_s = 1e-3) {
-        advance(plant, x.data(), command.data(), time_s, duration_s, step_s,
-                plant.fastest_rate_1_s(), in);
+        times_s_.push_back(time_s);
+        commands_.insert(commands_.end(), command.begin(), command.end());
+        std::copy(x.begin(), x.end(), all.begin());
+        if (times_s_.size() == 1)
+            settle(plant, all.data(), command.data(), time_s, in);
+        const LoggedCommands<Plant> log(plant, times_s_.data(), commands_.data(),
+                                        static_cast<long>(times_s_.size()) - 1);
+        advance(plant, all.data(), log, time_s, duration_s, step_s, plant.fastest_rate_1_s(), in);
+        std::copy_n(all.begin(), Plant::kStates, x.begin());
         time_s += duration_s;
     }
 
     Plant plant;
     State x{};
+    std::array<double, Plant::kAll> all{}; /* x and the memory after the last drive */
     double time_s = 0.0;
     Internals in{};
 
   private:
     const Model<Plant> model_;
+    std::vector<double> times_s_, commands_;
 };
 
 using RobotModel = Model<RobotPlant<double>>;

@@ -314,14 +314,25 @@ static double bent(double speed_m_s) {
            0.3 * x / std::sqrt(1.0 + x * x);
 }
 
-static void contact_shape_bends_both_directions(void) {
-    const RobotInternals<double> in = moving(
-        RobotModel().effect("contact_shape", "blend", 0.4).effect("contact_shape", "brush", 0.3));
+/* The rollers take the share `roller` of the change of the law. */
+static void assert_bends(double roller) {
+    const RobotInternals<double> in = moving(RobotModel()
+                                                 .effect("contact_shape", "blend", 0.4)
+                                                 .effect("contact_shape", "brush", 0.3)
+                                                 .effect("contact_shape", "roller", roller));
     for (int i = 0; i < 4; ++i) {
+        const double across = in.roller_speed_m_s[i];
+        const double straight = 2.0 / kPi * std::atan(40.0 * across);
+        const double law = straight + roller * (bent(across) - straight);
         TEST_ASSERT_DOUBLE_WITHIN(1e-11, kLoad_n * 0.6 * bent(in.slip_m_s[i]), in.drive_force_n[i]);
-        TEST_ASSERT_DOUBLE_WITHIN(1e-11, -kLoad_n * 0.05 * bent(in.roller_speed_m_s[i]),
-                                  in.roller_force_n[i]);
+        TEST_ASSERT_DOUBLE_WITHIN(1e-11, -kLoad_n * 0.05 * law, in.roller_force_n[i]);
     }
+}
+
+static void contact_shape_bends_the_drive_and_a_share_of_the_rollers(void) {
+    assert_bends(0.0);
+    assert_bends(0.4);
+    assert_bends(1.0);
 }
 
 static void carpet_grips_by_the_world_direction_of_the_drive_axis(void) {
@@ -662,7 +673,7 @@ int main(void) {
     RUN_TEST(shaft_inertia_divides_the_shaft_acceleration);
     RUN_TEST(grip_effects_scale_the_drive_force);
     RUN_TEST(slip_stiffness_scales_the_slip);
-    RUN_TEST(contact_shape_bends_both_directions);
+    RUN_TEST(contact_shape_bends_the_drive_and_a_share_of_the_rollers);
     RUN_TEST(carpet_grips_by_the_world_direction_of_the_drive_axis);
     RUN_TEST(patch_is_slippery_inside_only);
     RUN_TEST(radius_enters_slip_and_reaction);

@@ -15,7 +15,7 @@ using namespace omnislip;
 extern "C" void setUp() {}
 extern "C" void tearDown() {}
 
-static const double kStep_s = 2.5e-4;
+static const double kStep_s = 1e-4;
 static const double kWholeRun_s = 1e9;
 
 /* Unevenly sampled commands; sensors "show" zero, so errors are the negative of the outputs. */
@@ -154,9 +154,12 @@ static void linearised_row_is_the_slope_of_the_plant(void) {
         robot.drive(duty, 0.005);
         return robot.x;
     };
-    double next[14], transition[14 * 14];
-    kernel->linearise(kernel->load(model.flat.data()).get(), duty.data(), 0.0, 0.005, 1e-3,
-                      start.data(), next, transition);
+    Recording row;
+    row.time_s = {0.0, 0.005};
+    row.command.assign(duty.begin(), duty.end());
+    double state[RobotLayout::kAll] = {}, next[RobotLayout::kAll], transition[14 * 14];
+    std::copy(start.begin(), start.end(), state);
+    kernel->linearise(kernel->load(model.flat.data()).get(), row, 0, 1e-3, state, next, transition);
     for (std::size_t j = 0; j < 14; ++j) {
         const Robot::State up = reached(j, 1e-4), down = reached(j, -1e-4);
         for (std::size_t i = 0; i < 14; ++i) {

@@ -32,14 +32,16 @@ class EnergyAudit {
 
     explicit EnergyAudit(const RobotPlant<double> &plant) : plant_(plant) {}
 
-    void command(const double *duty, double *driven) const {
-        plant_.command(duty, driven);
+    void command(const double *duty, double *held) const {
+        std::copy_n(duty, kMotors, held);
     }
 
-    void derivative(const double *x, const double *driven, const double &time_s, double *dx,
+    void derivative(const double *x, const double *duty, const double &time_s, double *dx,
                     RobotInternals<double> &in) const {
-        plant_.derivative(x, driven, time_s, dx, in);
-        dx[Layout::kStates] = power_w(x, driven, in);
+        RobotPlant<double>::Step step;
+        plant_.begin_step(x, duty, 0.0, step);
+        plant_.derivative(x, step, time_s, dx, in);
+        dx[Layout::kStates] = power_w(x, step.duty, in);
     }
 
     double kinetic_j(const double *x) const {

@@ -113,7 +113,14 @@ EFFECT_MISTAKES = {
     "[[effects.weak_motor]]\nscale = 0.9": ["weak_motor", "add wheel"],
     "[[effects.weak_motor]]\nscale = 0.9\nwheel = 5": ["effects.weak_motor.wheel", "1 to 4"],
     "[[effects.weak_motor]]\nscale = 0.9\nwheel = true": ["effects.weak_motor.wheel"],
-    "[[effects.dead_zone]]\nduty = 0.1\nrun = 3": ["effects.dead_zone.run"],
+    "[[effects.dead_zone]]\nduty = 0.1\nrun = 'run_1'": ["dead_zone", "remove 'run'"],
+    "[[effects.dead_zone]]\nduty = 0.1\n[[effects.dead_zone]]\nduty = 0.2": ["dead_zone", "twice"],
+    "[[effects.wheel_permutation]]\nwheels = [1, 2, 3, 3]": [
+        "wheel_permutation.wheels",
+        "once each",
+    ],
+    "[[effects.encoder_sign]]\nwheel = 7": ["effects.encoder_sign.wheel", "1 to 4"],
+    "[[effects.motor_sign]]\nscale = 1.0": ["scale", "motor_sign"],
     "[[effects.force_offset]]\nforce = 1.0": ["force_offset", "kind 'robot'"],
 }
 AXIS_MISTAKES = {
@@ -200,12 +207,17 @@ def effects_of(kind: str, translating: bool) -> st.SearchStrategy:
             st.just(entry["name"]),
             st.dictionaries(st.sampled_from(names), st.floats(-1e9, 1e9)),
             wheels.get(entry["scope"], st.none()),
-            st.none() | st.text(max_size=5),
         )
 
     catalogue = [entry for entry in _core.effects() if kind in entry["kinds"]]
     return (
-        st.lists(st.sampled_from(catalogue).flatmap(one), max_size=4) if catalogue else st.just([])
+        st.lists(
+            st.sampled_from(catalogue).flatmap(one),
+            max_size=4,
+            unique_by=lambda effect: (effect.name, effect.wheel),
+        )
+        if catalogue
+        else st.just([])
     )
 
 

@@ -98,6 +98,8 @@ MIN_ODOMETRY_WHEELS = 3
 # Wiring mistakes are mended in the logs before the plant sees them. wheel_permutation: encoder
 # column i shows wheel wheels[i]; the signs: counts, or duty, of one wheel the other way round.
 WIRING = ("wheel_permutation", "encoder_sign", "motor_sign")
+# A push in one run, world frame, at the centre of gravity: the log is cut there.
+IMPACT_KEYS = ("time_s", "impulse_x_n_s", "impulse_y_n_s", "impulse_theta_n_m_s")
 
 
 @dataclass(frozen=True)
@@ -137,7 +139,7 @@ class Model:
                 parameters |= {f"{key}[{index}]": item for index, item in enumerate(value)}
             else:
                 parameters[key] = value
-        plant = [effect for effect in self.effects if effect.name not in WIRING]
+        plant = [effect for effect in self.effects if effect.name not in (*WIRING, "impact")]
         return parameters, [_effect_to_core(effect) for effect in plant]
 
 
@@ -293,13 +295,16 @@ def _read_effects(
     catalogue = {entry["name"]: entry for entry in _core.effects()}
     wheel_count = len(values.get(f"{kind}.wheel_angles_deg", []))
     names = TRANSLATING_NAMES if "axis.mass_kg" in values else {}
-    check_known(tables, [*catalogue, *WIRING], "effect", path)
+    check_known(tables, [*catalogue, *WIRING, "impact"], "effect", path)
     effects = []
     for name, occurrences in tables.items():
         if not isinstance(occurrences, list):
             raise InputError(f"{path}: effect '{name}' must be written [[effects.{name}]]")
-        if name in WIRING:
-            effects += [_read_wiring(name, table, kind, path) for table in occurrences]
+        if name in WIRING or name == "impact":
+            if kind != "robot":
+                raise InputError(f"{path}: effect '{name}' does not apply to kind '{kind}'")
+            read = _read_impact if name == "impact" else _read_wiring
+            effects += [read(name, table, path) for table in occurrences]
             continue
         entry = catalogue[name]
         if kind not in entry["kinds"]:
@@ -308,7 +313,17 @@ def _read_effects(
             names.get(parameter["name"], parameter["name"]) for parameter in entry["parameters"]
         ]
         effects += [_read_effect(entry, known, table, wheel_count, path) for table in occurrences]
+    _check_once(effects, path)
     return effects
+
+
+def _check_once(effects: list[Effect], path: Path) -> None:
+    seen = set()
+    for effect in effects:
+        if effect.name != "impact" and (effect.name, effect.wheel) in seen:
+            which = f" on wheel {effect.wheel}" if effect.wheel else ""
+            raise InputError(f"{path}: effect '{effect.name}'{which} is there twice")
+        seen.add((effect.name, effect.wheel))
 
 
 def _read_effect(
@@ -317,19 +332,29 @@ def _read_effect(
     where = f"effects.{entry['name']}"
     table = dict(check_table(table, where, path))
     wheel = _read_wheel(table.pop("wheel", None), entry, wheel_count, path)
-    run = table.pop("run", None)
-    if run is not None and not isinstance(run, str):
-        raise InputError(f"{path}: '{where}.run' must be the name of a run, not {run!r}")
+    if "run" in table:
+        raise InputError(f"{path}: effect '{entry['name']}' acts on all runs; remove 'run'")
     check_known(table, known, f"parameter of effect '{entry['name']}'", path)
     numbers = {key: check_number(item, f"{where}.{key}", path) for key, item in table.items()}
-    return Effect(entry["name"], numbers, wheel, run)
+    return Effect(entry["name"], numbers, wheel)
 
 
-def _read_wiring(name: str, table: object, kind: str, path: Path) -> Effect:
+def _read_impact(name: str, table: object, path: Path) -> Effect:
+    table = dict(check_table(table, "effects.impact", path))
+    run = table.pop("run", None)
+    if not isinstance(run, str):
+        raise InputError(f"{path}: 'effects.impact.run' must be the name of a run, not {run!r}")
+    check_known(table, IMPACT_KEYS, "parameter of effect 'impact'", path)
+    missing = [key for key in IMPACT_KEYS if key not in table]
+    if missing:
+        raise InputError(f"{path}: 'effects.impact' misses {', '.join(missing)}")
+    numbers = {key: check_number(table[key], f"effects.impact.{key}", path) for key in IMPACT_KEYS}
+    return Effect(name, numbers, run=run)
+
+
+def _read_wiring(name: str, table: object, path: Path) -> Effect:
     where = f"effects.{name}"
     table = dict(check_table(table, where, path))
-    if kind != "robot":
-        raise InputError(f"{path}: effect '{name}' does not apply to a model of kind '{kind}'")
     if name == "wheel_permutation":
         check_known(table, ["wheels"], f"parameter of effect '{name}'", path)
         wheels = check_numbers(table.get("wheels"), 4, f"{where}.wheels", path)

@@ -1,6 +1,7 @@
 """The commands `omnislip gap ...`."""
 
 import json
+import os
 import shlex
 import sys
 import time
@@ -137,14 +138,12 @@ class progress:  # noqa: N801 - used as a statement
 
 
 def check_folder(path: Path) -> None:
-    """Fail before the work when the results could not be written."""
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-        probe = path / ".write-probe"
-        probe.touch()
-        probe.unlink()
-    except OSError as error:
-        raise InputError(f"{path}: cannot write there: {error.strerror}") from None
+    """Fail before the work when the results could not be written; makes nothing."""
+    nearest = next(parent for parent in (path, *path.parents) if parent.exists())
+    if not nearest.is_dir():
+        raise InputError(f"{path}: cannot write there: {nearest} is not a folder")
+    if not os.access(nearest, os.W_OK):
+        raise InputError(f"{path}: cannot write there: no permission for {nearest}")
 
 
 def print_table(table: object) -> None:

@@ -9,17 +9,25 @@ Willsky and Jones (1976) is
 
 chi-squared with 3 degrees of freedom where nothing happened. A missing effect raises g everywhere,
 so an impact has to stand out from the run's own level and to explain most of the error around it.
+
+The linear jump is right for a tap. A hard push makes wheels slide, so the size is fitted again with
+the plant itself: free-running from the state before the push, for the horizon, over a grid of times
+between the two rows. Then the log is cut: what follows sees the pieces before and after.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
+from scipy.optimize import least_squares
 
+from omnislip import _core
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import Noise, track_all
 from omnislip.gap.recordings import Run
+from omnislip.log_file import Log
+from omnislip.model_file import IMPACT_KEYS, Effect, Model
 
 Array = npt.NDArray[np.float64]
 
@@ -31,22 +39,24 @@ OVER_LEVEL = 8.0
 EXPLAINED = 0.5
 """Share of the squared innovations of the horizon that the jump must take away."""
 APART_S = 0.3
+CUT_S = 0.05
+"""Left out after a push: the contact of the pusher."""
+LEAST_PIECE_S = 1.0
 VELOCITY = slice(8, 11)
+PROBE = np.array([0.05, 0.05, 0.1])
+# Of the filtered state before a push: shaft speeds, encoder angles, body velocity, pose.
+STATE_VARIANCE = np.array([0.25] * 4 + [1e-6] * 4 + [1e-4, 1e-4, 1e-4, 1e-6, 1e-6, 1e-6])
 
 
 @dataclass(frozen=True)
 class Impact:
-    """A push: when, and the jump of the body's velocity (body frame) and momentum (world frame)."""
+    """A push: in which run, when, and the jump of momentum."""
 
     run: str
-    row: int
     time_s: float
-    jump: Array
-    """(vx m/s, vy m/s, omega rad/s)"""
     impulse: Array
     """(x N s, y N s, theta N m s), world frame"""
     deviation: Array
-    ratio: float
 
 
 def find_impacts(
@@ -58,77 +68,174 @@ def find_impacts(
     impacts = []
     for run in runs:
         track = track_all(machine, [run], values, noise, keep_linear=True)[0]
-        ratio, jump, covariance, explained = _ratios(machine, run, track)
+        pushes = _Pushes(machine, run, track)
+        ratio, jump, explained = pushes.ratios()
         level = float(np.percentile(ratio, 95))
-        peaks = _peaks(run.t_s, ratio, max(LEAST_RATIO, OVER_LEVEL * level))
-        for row in peaks:
-            if explained[row] < EXPLAINED:
-                continue
-            heading = track.state.reshape(len(run.t_s), -1)[row, 13]
-            impacts.append(_impact(machine, run, row, jump[row], covariance[row], heading, ratio))
+        for peak in _peaks(run.t_s, ratio, max(LEAST_RATIO, OVER_LEVEL * level)):
+            if explained[peak] >= EXPLAINED:
+                row = pushes.likeliest_row(peak)
+                before = track.state.reshape(len(run.t_s), -1)[row - 1]
+                impacts.append(_size_up(machine, run, row, values, noise, before, jump[row]))
     return impacts
 
 
-def _impact(
+def as_effect(impact: Impact) -> Effect:
+    """Return the impact as it stands in a model file."""
+    numbers = dict(zip(IMPACT_KEYS, (impact.time_s, *impact.impulse.tolist()), strict=True))
+    return Effect("impact", numbers, run=impact.run)
+
+
+def known_pushes(model: Model) -> list[tuple[str, float]]:
+    """Return run and time of the impacts that a model file names."""
+    return [(e.run or "", e.parameters["time_s"]) for e in model.effects if e.name == "impact"]
+
+
+def pieces(log: Log, pushes: Sequence[tuple[str, float]]) -> list[tuple[int, int]]:
+    """Return the row ranges between the pushes (run, time) of a log that are long enough to use."""
+    edges = [0]
+    for time_s in sorted(time_s for run, time_s in pushes if run == log.name):
+        edges += [int(np.searchsorted(log.t_s, t)) for t in (time_s, time_s + CUT_S)]
+    edges.append(len(log.t_s))
+    ranges = list(zip(edges[::2], edges[1::2], strict=True))
+    return [(a, b) for a, b in ranges if b > a and log.t_s[b - 1] - log.t_s[a] > LEAST_PIECE_S]
+
+
+def _size_up(
     machine: Machine,
     run: Run,
     row: int,
+    values: Array,
+    noise: Noise,
+    before: Array,
     jump: Array,
-    covariance: Array,
-    heading: float,
-    ratio: Array,
 ) -> Impact:
+    """Fit the jump with the plant, for the likeliest time between the two rows."""
+    fits = [
+        _fit_jump(_After(machine, run, row, values, noise, before, share), jump)
+        for share in (0.1, 0.3, 0.5, 0.7, 0.9)
+    ]
+    cost, time_s, jump, covariance = min(fits, key=lambda found: found[0])
     mass, inertia = machine.believed[0], machine.believed[1]
-    turn = np.array(
-        [
-            [np.cos(heading), -np.sin(heading), 0.0],
-            [np.sin(heading), np.cos(heading), 0.0],
-            [0.0, 0.0, 1.0],
-        ]
-    )
+    cos, sin = np.cos(before[13]), np.sin(before[13])
+    turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
     to_world = np.diag([mass, mass, inertia]) @ turn
-    before = 0.5 * (run.t_s[row - 1] + run.t_s[row])  # between two rows, no telling where
-    return Impact(
-        run.name,
-        row,
-        float(before),
-        jump,
-        to_world @ jump,
-        np.sqrt(np.diag(to_world @ covariance @ to_world.T)),
-        float(ratio[row]),
-    )
+    spread = covariance * max(1.0, cost)
+    deviation = np.sqrt(np.diag(to_world @ spread @ to_world.T))
+    return Impact(run.name, time_s, to_world @ jump, deviation)
 
 
-def _ratios(machine: Machine, run: Run, track: object) -> tuple[Array, Array, Array, Array]:
-    """Return g, the jump, its covariance and the explained share for a push before each row."""
-    n, m, rows = machine.engine.states, machine.engine.outputs, len(run.t_s)
-    sampled = ~np.isnan(run.outputs)
-    slope = np.where(sampled[:, :, None], track.slope.reshape(rows, m, n), 0.0)
-    gain, whitening = track.gain.reshape(rows, n, m), track.whitening.reshape(rows, m, m)
-    innovation = np.where(sampled, track.innovation.reshape(rows, m), 0.0)
-    white = np.einsum("rij,rj->ri", whitening, innovation)
-    carry = track.transition.reshape(rows, n, n)
-    carry = carry - carry @ gain @ slope
-    horizon = max(3, round(HORIZON_S / float(np.median(np.diff(run.t_s)))))
-    error = np.zeros((rows, n, 3))
-    error[:, VELOCITY] = np.eye(3)
-    information, right = np.zeros((rows, 3, 3)), np.zeros((rows, 3))
-    energy = np.zeros(rows)
-    for ahead in range(horizon):
-        # Row k of `error` is the error at row k + ahead after a push before row k.
-        seen = slice(ahead, rows)
-        at = np.arange(rows - ahead)
-        response = -(whitening[seen] @ slope[seen]) @ error[at]
-        information[at] += response.transpose(0, 2, 1) @ response
-        right[at] -= np.einsum("rij,ri->rj", response, white[seen])
-        energy[at] += np.sum(white[seen] ** 2, axis=1)
-        error[at] = carry[seen] @ error[at]
-    information += 1e-9 * np.eye(3)
-    jump = np.linalg.solve(information, right[:, :, None])[:, :, 0]
-    ratio = np.einsum("ri,ri->r", right, jump)
-    early = run.t_s < run.t_s[0] + HORIZON_S
-    ratio[early] = 0.0
-    return ratio, jump, np.linalg.inv(information), ratio / np.maximum(energy, 1e-12)
+class _After:
+    """The rows after a push, as whitened replay errors that depend on the jump."""
+
+    def __init__(
+        self,
+        machine: Machine,
+        run: Run,
+        row: int,
+        values: Array,
+        noise: Noise,
+        before: Array,
+        share: float,
+    ) -> None:
+        end = int(np.searchsorted(run.t_s, run.t_s[row] + HORIZON_S)) + 1
+        gone_s = share * float(run.t_s[row] - run.t_s[row - 1])
+        self.time_s = float(run.t_s[row - 1]) + gone_s
+        self._machine, self._values = machine, values
+        self._t_s = np.concatenate([[self.time_s], run.t_s[row:end]])
+        self._command = np.ascontiguousarray(run.command[row - 1 : end])
+        blank = np.full((1, run.outputs.shape[1]), np.nan)
+        self._outputs = np.concatenate([blank, run.outputs[row:end]])
+        slope = machine.engine.derivatives(values, before[None], run.command[row - 1][None])[0]
+        self._state = before + gone_s * slope
+        self._noise = replace(noise, initial=STATE_VARIANCE)
+        self.weight = self._weights()
+
+    def errors(self, jump: Array) -> Array:
+        """Replay errors (rows * outputs,) in their standard deviations; 0 where not sampled."""
+        recording = self._recording(jump)
+        track = self._track(recording)
+        error = self._machine.engine.replays([recording], [track], self._values[None])[0][0]
+        return np.nan_to_num(error * self.weight).ravel()
+
+    def _recording(self, jump: Array) -> _core.Recording:
+        state = self._state.copy()
+        state[VELOCITY] += jump
+        return self._machine.engine.recording(self._t_s, self._command, self._outputs, state)
+
+    def _track(self, recording: _core.Recording) -> _core.Track:
+        n = self._noise
+        return self._machine.engine.track(
+            [recording], self._values, n.process, n.output, n.initial, n.timing_s2
+        )[0]
+
+    def _weights(self) -> Array:
+        variance = self._track(self._recording(np.zeros(3))).replay_variance
+        return 1.0 / np.sqrt(variance.reshape(self._outputs.shape))
+
+
+def _fit_jump(after: _After, jump: Array) -> tuple[float, float, Array, Array]:
+    """Gauss-Newton; returns mean square error, time, jump, covariance."""
+    found = least_squares(after.errors, jump, x_scale=PROBE, diff_step=1e-3, max_nfev=15)
+    mean_square = 2.0 * found.cost / max(np.count_nonzero(found.fun), 1)
+    return mean_square, after.time_s, found.x, np.linalg.pinv(found.jac.T @ found.jac)
+
+
+class _Pushes:
+    """What pushes before each row of a run would do to its whitened innovations."""
+
+    def __init__(self, machine: Machine, run: Run, track: _core.Track) -> None:
+        n, m, rows = machine.engine.states, machine.engine.outputs, len(run.t_s)
+        sampled = ~np.isnan(run.outputs)
+        slope = np.where(sampled[:, :, None], track.slope.reshape(rows, m, n), 0.0)
+        gain, whitening = track.gain.reshape(rows, n, m), track.whitening.reshape(rows, m, m)
+        innovation = np.where(sampled, track.innovation.reshape(rows, m), 0.0)
+        self.white = np.einsum("rij,rj->ri", whitening, innovation)
+        self.shown = -(whitening @ slope)
+        transition = track.transition.reshape(rows, n, n)
+        self.carry = transition - transition @ gain @ slope
+        self.horizon = max(3, round(HORIZON_S / float(np.median(np.diff(run.t_s)))))
+        self.t_s = run.t_s
+
+    def ratios(self) -> tuple[Array, Array, Array]:
+        """Return g, the jump and the explained share for a push before each row."""
+        rows, n = len(self.white), self.carry.shape[1]
+        error = np.zeros((rows, n, 3))
+        error[:, VELOCITY] = np.eye(3)
+        information, right = np.zeros((rows, 3, 3)), np.zeros((rows, 3))
+        energy = np.zeros(rows)
+        for ahead in range(self.horizon):
+            # Row k of `error` is the error at row k + ahead after a push before row k.
+            seen = slice(ahead, rows)
+            at = np.arange(rows - ahead)
+            response = self.shown[seen] @ error[at]
+            information[at] += response.transpose(0, 2, 1) @ response
+            right[at] -= np.einsum("rij,ri->rj", response, self.white[seen])
+            energy[at] += np.sum(self.white[seen] ** 2, axis=1)
+            error[at] = self.carry[seen] @ error[at]
+        jump = np.linalg.solve(information + 1e-9 * np.eye(3), right[:, :, None])[:, :, 0]
+        ratio = np.einsum("ri,ri->r", right, jump)
+        ratio[self.t_s < self.t_s[0] + HORIZON_S] = 0.0
+        return ratio, jump, ratio / np.maximum(energy, 1e-12)
+
+    def likeliest_row(self, peak: int) -> int:
+        """Return the row before which a push explains most of the rows around a peak of g.
+
+        g looks one horizon ahead of its row; rows can be compared only over the same rows.
+        """
+        end = min(peak + self.horizon, len(self.white))
+        rows = range(max(1, peak - self.horizon), peak + 1)
+        return max(rows, key=lambda row: self._explained_until(row, end))
+
+    def _explained_until(self, row: int, end: int) -> float:
+        error = np.zeros((self.carry.shape[1], 3))
+        error[VELOCITY] = np.eye(3)
+        information, right = 1e-9 * np.eye(3), np.zeros(3)
+        for k in range(row, end):
+            response = self.shown[k] @ error
+            information += response.T @ response
+            right -= response.T @ self.white[k]
+            error = self.carry[k] @ error
+        return float(right @ np.linalg.solve(information, right))
 
 
 def _peaks(t_s: Array, ratio: Array, threshold: float) -> list[int]:

@@ -3,7 +3,7 @@
 import hashlib
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -13,16 +13,26 @@ import numpy.typing as npt
 
 from omnislip.errors import InputError
 from omnislip.files import write_text
+from omnislip.gap.events import Impact, as_effect, find_impacts, known_pushes, pieces
 from omnislip.gap.inference import prior_penalty
 from omnislip.gap.inverse import relative_force_error
 from omnislip.gap.machine import Candidate, Machine
-from omnislip.gap.metrics import REPEATED, GapTable, Replays, channel_rmse, gap_table, replay_all
+from omnislip.gap.metrics import (
+    REPEATED,
+    Closed,
+    GapTable,
+    Replays,
+    channel_rmse,
+    gap_table,
+    replay_all,
+)
+from omnislip.gap.noise import Noise, tune_noise
 from omnislip.gap.recordings import Run, make_run
 from omnislip.gap.search import Outcome, Selected, search
 from omnislip.gap.where import Map, Place, describe, map_gap
 from omnislip.gap.wiring import find_wiring, mend
 from omnislip.log_file import Log, read_log
-from omnislip.model_file import Effect, Model, format_model, read_model
+from omnislip.model_file import IMPACT_KEYS, Effect, Model, format_model, read_model
 
 Array = npt.NDArray[np.float64]
 
@@ -39,6 +49,7 @@ SURE = 3.0
 LEAST_TIME_S = 3.0
 LEAST_TRAVEL = 20.0
 """Motion, in steps of the position sensor, below which nothing can be learned."""
+LEAST_ROWS = 50
 CONFIDENCE = 1.959964  # 95 %
 
 
@@ -71,6 +82,7 @@ class Findings:
     split: Split
     outcome: Outcome | None
     wiring: list[Effect]
+    impacts: list[Impact]
     amended: Model
     places: list[Place]
     gap_map: Map | None
@@ -96,8 +108,11 @@ def find_gap(
     progress("checking the wiring")
     wiring = find_wiring(machine, logs)
     logs = [mend(log, wiring) for log in logs]
-    split = split_runs(machine, logs)
-    outcome = search(machine, split.fitting, split.validation, progress)
+    progress("looking for impacts")
+    noise, impacts = _impacts(machine, logs)
+    pushes = known_pushes(model) + [(impact.run, impact.time_s) for impact in impacts]
+    split = split_runs(machine, logs, pushes)
+    outcome = search(machine, split.fitting, split.validation, noise, progress)
     progress("replaying the held-out runs")
     believed = machine.believed
     rungs = [fitted.hypothesis.flat(believed) for fitted in outcome.ladder]
@@ -106,20 +121,23 @@ def find_gap(
     models = [believed, refit, after]
     replays = replay_all(machine, split.held_out, outcome.data.noise, models)
     table = gap_table(replays, replay_all(machine, fitted, outcome.data.noise, models))
+    if not outcome.selected:
+        table = replace(table, closed=Closed(None, None, None))
     steps = _steps(machine, outcome, fitted, split.held_out, [believed, *rungs])
     gap_map = map_gap(
         machine, fitted, outcome.data.noise, refit, after if outcome.selected else None
     )
     places = describe(fitted, gap_map) if outcome.selected else []
-    verdict = _verdict(outcome, table, wiring)
+    verdict = _verdict(outcome, table, bool(wiring or impacts))
     return Findings(
         verdict,
-        _sentence(verdict, machine, outcome, table, wiring),
+        _sentence(verdict, machine, outcome, table, wiring, impacts),
         machine,
         split,
         outcome,
         wiring,
-        _amend(machine, outcome, wiring),
+        impacts,
+        _amend(machine, outcome, [*wiring, *(as_effect(impact) for impact in impacts)]),
         places,
         gap_map,
         table,
@@ -129,13 +147,21 @@ def find_gap(
     )
 
 
-def _verdict(outcome: Outcome, table: GapTable, wiring: Sequence[Effect]) -> str:
+def _impacts(machine: Machine, logs: Sequence[Log]) -> tuple[Noise, list[Impact]]:
+    """Return the noise that it took to look, and the impacts that the model does not name."""
+    known = known_pushes(machine.model)
+    runs = [make_run(machine, log, *rows) for log in logs for rows in pieces(log, known)]
+    noise = tune_noise(machine, runs, machine.believed)
+    return noise, find_impacts(machine, runs, machine.believed, noise)
+
+
+def _verdict(outcome: Outcome, table: GapTable, mended: bool) -> str:
     """Name effects only if they explain what is to be explained."""
     named = sum(s.evidence.gain for s in outcome.selected)
     better_term = bool(outcome.leftover) and outcome.leftover[0].gain > UNKNOWN_SHARE * named
     if better_term or _much_is_left(table):
         return "unknown_effect"
-    return "effect_found" if outcome.selected or wiring else "no_gap"
+    return "effect_found" if outcome.selected or mended else "no_gap"
 
 
 def _much_is_left(table: GapTable) -> bool:
@@ -181,33 +207,40 @@ def _mean_force_error(machine: Machine, runs: Sequence[Run], values: Array) -> f
     return float(np.average(errors, weights=weights))
 
 
-def split_runs(machine: Machine, logs: Sequence[Log]) -> Split:
-    """Hold out whole runs when there are five or more; else the last run, or the end of the one."""
+def split_runs(
+    machine: Machine, logs: Sequence[Log], pushes: Sequence[tuple[str, float]] = ()
+) -> Split:
+    """Hold out whole runs when there are five or more; else the last run, or the end of the one.
+
+    A log is cut at its pushes (run, time).
+    """
     if len(logs) >= RUNS_TO_HOLD_OUT_WHOLE:
         share = max(1, round(0.2 * len(logs)))
         held = {round((k + 1) * len(logs) / share) - 1 for k in range(share)}
         checks = {index - 1 for index in held}
-        runs = [make_run(machine, log) for log in logs]
-        return Split(
-            [run for i, run in enumerate(runs) if i not in held | checks],
-            [runs[i] for i in sorted(checks)],
-            [runs[i] for i in sorted(held)],
-            "whole runs",
-        )
-    if len(logs) > 1:
-        parts = [_cut(machine, log, (0.0, 0.75, 1.0)) for log in logs[:-1]]
-        held_out = [make_run(machine, logs[-1])]
+        roles = [2 if i in held else 1 if i in checks else 0 for i in range(len(logs))]
+        parts = [(role, log, 0, len(log.t_s)) for role, log in zip(roles, logs, strict=True)]
+        how = "whole runs"
+    elif len(logs) > 1:
+        parts = [p for log in logs[:-1] for p in _cut(log, (0.0, 0.75, 1.0))]
+        parts.append((2, logs[-1], 0, len(logs[-1].t_s)))
         how = "the last run held out; the end of the others checks the choice"
     else:
-        parts = [_cut(machine, logs[0], (0.0, 0.55, 0.75, 1.0))]
-        held_out = [parts[0][2]]
+        parts = _cut(logs[0], (0.0, 0.55, 0.75, 1.0))
         how = "one run only: its last quarter held out"
-    return Split([p[0] for p in parts], [p[1] for p in parts], held_out, how)
+    runs: tuple[list[Run], ...] = ([], [], [])
+    for role, log, first, last in parts:
+        for begin, end in pieces(log, pushes):
+            rows = (max(begin, first), min(end, last))
+            if rows[1] - rows[0] >= LEAST_ROWS:
+                runs[role].append(make_run(machine, log, *rows))
+    return Split(*runs, how)
 
 
-def _cut(machine: Machine, log: Log, shares: Sequence[float]) -> list[Run]:
+def _cut(log: Log, shares: Sequence[float]) -> list[tuple[int, Log, int, int]]:
+    """Cut a log at shares of its rows: (role, log, begin, end)."""
     edges = [round(share * len(log.t_s)) for share in shares]
-    return [make_run(machine, log, begin, end) for begin, end in pairwise(edges)]
+    return [(role, log, begin, end) for role, (begin, end) in enumerate(pairwise(edges))]
 
 
 def _too_little(machine: Machine, logs: Sequence[Log]) -> str | None:
@@ -249,6 +282,7 @@ def _insufficient(
         split,
         None,
         [],
+        [],
         machine.model,
         [],
         None,
@@ -265,11 +299,13 @@ def _sentence(
     outcome: Outcome,
     table: GapTable,
     wiring: Sequence[Effect],
+    impacts: Sequence[Impact],
 ) -> str:
     """Return the verdict as one sentence with numbers."""
     if verdict == "no_gap":
         return "No missing effect: the believed model explains these logs within its tolerances."
     parts = [_wiring_words(effect) for effect in wiring]
+    parts += [_impact_words(impact) for impact in impacts]
     parts += [_effect_words(machine, s) for s in outcome.selected]
     if verdict == "unknown_effect":
         text = "Something is missing that is none of the known effects"
@@ -298,6 +334,13 @@ def _wiring_words(effect: Effect) -> str:
     return f"{effect.name} (wheel {effect.wheel})"
 
 
+def _impact_words(impact: Impact) -> str:
+    size = float(np.hypot(*impact.impulse[:2]))
+    bearing = float(np.degrees(np.arctan2(impact.impulse[1], impact.impulse[0])))
+    when = f"{impact.run} at {impact.time_s:.3f} s"
+    return f"impact ({when}, {size:.2g} N s towards {bearing:.0f}° in the world)"
+
+
 def _effect_words(machine: Machine, selected: Selected) -> str:
     candidate = selected.candidate
     sizes = []
@@ -312,7 +355,7 @@ def _effect_words(machine: Machine, selected: Selected) -> str:
     return f"{candidate.name} ({', '.join(sizes)})"
 
 
-def _amend(machine: Machine, outcome: Outcome, wiring: Sequence[Effect]) -> Model:
+def _amend(machine: Machine, outcome: Outcome, mended: Sequence[Effect]) -> Model:
     """Return the model with the refitted keys and the found effects."""
     hypothesis = outcome.final.hypothesis
     base = {
@@ -320,7 +363,7 @@ def _amend(machine: Machine, outcome: Outcome, wiring: Sequence[Effect]) -> Mode
         for p, x in zip(hypothesis.base, hypothesis.x, strict=False)
     }
     effects = [_as_effect(machine, s.candidate, s.values) for s in outcome.selected]
-    return machine.amended_model(base, [*wiring, *effects])
+    return machine.amended_model(base, [*mended, *effects])
 
 
 def _as_effect(machine: Machine, candidate: Candidate, values: Array) -> Effect:
@@ -338,7 +381,9 @@ def to_json(findings: Findings) -> dict[str, Any]:
     passed = [_effect_json(machine, s) for s in outcome.selected] if outcome else []
     unknown = findings.verdict == "unknown_effect"
     effects, nearest = ([], passed) if unknown else (passed, [])
-    effects = [_wiring_json(effect) for effect in findings.wiring] + effects
+    mended = [_wiring_json(effect) for effect in findings.wiring]
+    mended += [_impact_json(impact) for impact in findings.impacts]
+    effects = mended + effects
     return {
         "schema": SCHEMA,
         "verdict": findings.verdict,
@@ -373,11 +418,15 @@ def to_json(findings: Findings) -> dict[str, Any]:
         "base": _base_json(machine, outcome) if outcome else {},
         "split": {
             "how": findings.split.how,
-            "fitting": [r.name for r in findings.split.fitting],
-            "validation": [r.name for r in findings.split.validation],
+            "fitting": _names(findings.split.fitting),
+            "validation": _names(findings.split.validation),
         },
         "inputs_sha256": findings.inputs,
     }
+
+
+def _names(runs: Sequence[Run]) -> list[str]:
+    return list(dict.fromkeys(run.name for run in runs))
 
 
 def _wiring_json(effect: Effect) -> dict[str, Any]:
@@ -385,6 +434,25 @@ def _wiring_json(effect: Effect) -> dict[str, Any]:
         "name": effect.name,
         "wheel": effect.wheel,
         "parameters": dict(effect.parameters),
+        "ambiguous_with": [],
+        "separating_manoeuvre": None,
+        "evidence": {},
+    }
+
+
+def _impact_json(impact: Impact) -> dict[str, Any]:
+    time_s = {"value": impact.time_s, "low": impact.time_s, "high": impact.time_s}
+    sizes = {
+        key: {"value": v, "low": v - CONFIDENCE * d, "high": v + CONFIDENCE * d}
+        for key, v, d in zip(
+            IMPACT_KEYS[1:], impact.impulse.tolist(), impact.deviation.tolist(), strict=True
+        )
+    }
+    return {
+        "name": "impact",
+        "wheel": None,
+        "run": impact.run,
+        "parameters": {IMPACT_KEYS[0]: time_s, **sizes},
         "ambiguous_with": [],
         "separating_manoeuvre": None,
         "evidence": {},
@@ -428,7 +496,7 @@ def _table_json(table: GapTable) -> dict[str, Any]:
     }
     closed = table.closed
     return {
-        "held_out_runs": list(table.runs),
+        "held_out_runs": list(dict.fromkeys(table.runs)),
         "channels": channels,
         "closed_fraction": {"value": closed.value, "low": closed.low, "high": closed.high},
         "noise_floor_source": table.floor_source,

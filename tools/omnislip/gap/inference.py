@@ -246,16 +246,23 @@ def weigh(data: Data, without: float, with_effect: Fit, index: int) -> Evidence:
     return Evidence(gain, inflation, p_value, covariance)
 
 
-def free_of_fitted(fitted: Fit, columns: Array, leave_out: Sequence[int] = ()) -> Array:
-    """Return columns (m, k) without what the fitted parameters explain (keys with their prior).
+@dataclass(frozen=True)
+class Absorbed:
+    """What the fitted parameters take of some columns: parameter numbers and weights (k, columns).
 
-    Parameters on a bound cannot move and those in `leave_out` are not to: they explain nothing.
+    Parameters on a bound, and those left out on purpose, cannot move and take nothing.
     """
-    return _project(fitted, columns, leave_out)[0]
+
+    parameters: list[int]
+    weights: Array
+
+    def rest(self, jacobian: Array, columns: Array) -> Array:
+        """Return the columns (m, ...) without that, on any runs with their own derivative."""
+        return columns - jacobian[:, self.parameters] @ self.weights
 
 
-def _project(fitted: Fit, columns: Array, leave_out: Sequence[int]) -> tuple[Array, Array]:
-    """Return the freed columns and the pull (k keys, columns) on the believed keys."""
+def absorbed(fitted: Fit, columns: Array, leave_out: Sequence[int] = ()) -> Absorbed:
+    """Regress columns (m, k) on the derivative of the fit, believed keys with their prior."""
     count = len(fitted.hypothesis.base)
     others = [
         i for i in range(fitted.jacobian.shape[1]) if i not in leave_out and not at_bound(fitted, i)
@@ -263,13 +270,21 @@ def _project(fitted: Fit, columns: Array, leave_out: Sequence[int]) -> tuple[Arr
     b = fitted.jacobian[:, others]
     gram = b.T @ b + np.diag([1.0 if i < count else 0.0 for i in others])
     gram += 1e-9 * np.trace(gram) / max(len(gram), 1) * np.eye(len(gram))
-    weights = np.linalg.solve(gram, b.T @ columns)
-    return columns - b @ weights, weights[[k for k, i in enumerate(others) if i < count]]
+    return Absorbed(others, np.linalg.solve(gram, b.T @ columns))
+
+
+def free_of_fitted(fitted: Fit, columns: Array) -> Array:
+    """Return columns (m, k) without what the fitted parameters explain."""
+    return absorbed(fitted, columns).rest(fitted.jacobian, columns)
 
 
 def _projected(fitted: Fit, own: list[int]) -> tuple[Array, Array]:
     """Return the columns of `own` free of what the other parameters explain, and their Gram."""
-    score, pull = _project(fitted, fitted.jacobian[:, own], own)
+    columns = fitted.jacobian[:, own]
+    taken = absorbed(fitted, columns, own)
+    score = taken.rest(fitted.jacobian, columns)
+    count = len(fitted.hypothesis.base)
+    pull = taken.weights[[k for k, i in enumerate(taken.parameters) if i < count]]
     return score, score.T @ score + pull.T @ pull
 
 

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from omnislip import _core
 from omnislip.errors import InputError
-from omnislip.model_file import TRANSLATING_NAMES, WIRING, Effect, Model
+from omnislip.model_file import TRANSLATING_NAMES, Effect, Model
 
 Array = npt.NDArray[np.float64]
 
@@ -103,7 +103,10 @@ class Machine:
         return [self._base_parameter(key) for key in self.model.values if self._may_move(key)]
 
     def candidates(self) -> list[Candidate]:
-        """Return every effect of the catalogue that this model may lack, wheel by wheel."""
+        """Return every effect of the catalogue that this model may lack, wheel by wheel.
+
+        An effect of the model is offered again: its size may be wrong.
+        """
         found = []
         for entry in self.catalogue.values():
             wheels: Iterable[int | None] = (None,)
@@ -112,7 +115,7 @@ class Machine:
             elif self.engine.motors > 1 and entry["scope"] == "common or single":
                 wheels = (None, *range(1, self.engine.motors + 1))
             found += [self._candidate(entry, wheel) for wheel in wheels]
-        return [candidate for candidate in found if not self._already_there(candidate)]
+        return [candidate for candidate in found if self._has_starts(candidate)]
 
     def extensions(self, effect: str) -> list[Candidate]:
         """Return what refines an effect that is already in the model: not an effect of its own."""
@@ -136,11 +139,17 @@ class Machine:
             key: value * base.get(key, 1.0) if isinstance(value, float) else value
             for key, value in self.model.values.items()
         }
+        changed = {(effect.name, effect.wheel) for effect in effects}
+        kept = [
+            e
+            for e in self.model.effects
+            if e.name not in self.catalogue or (e.name, e.wheel) not in changed
+        ]
         return Model(
             kind=self.model.kind,
             values=values,
             tolerance=self.model.tolerance,
-            effects=[*self.model.effects, *effects],
+            effects=[*kept, *effects],
             name=self.model.name,
         )
 
@@ -184,7 +193,7 @@ class Machine:
             speed = AXIS_FRICTION_SPEED["linear" if self.linear else "rotary"]
             values[[p["name"] for p in base].index("axis.friction_speed")] = speed
         for effect in self.model.effects:
-            if effect.name not in WIRING:
+            if effect.name in self.catalogue:
                 self._apply(values, effect)
         return values
 
@@ -239,29 +248,31 @@ class Machine:
         if entry["typical"] == 0:
             scale = _shape_scale(entry)
         elif self.kind == "axis":
-            scale = self._axis_size(entry["name"], entry["typical"])
+            scale = self._axis_size(effect, entry["name"], entry["typical"])
         else:
             scale = abs(entry["typical"])
         places = self.place(effect, entry["name"], wheel)
         return Parameter(entry["name"], places, scale, entry["low"], entry["high"])
 
-    def _axis_size(self, parameter: str, typical: float) -> float:
+    def _has_starts(self, candidate: Candidate) -> bool:
+        """Whether every shaping parameter has a value to start from; a floor patch has none."""
+        shapes = [p for i, p in enumerate(candidate.parameters) if i not in candidate.amplitudes]
+        return all(np.isfinite(self.believed[list(p.places)]).all() for p in shapes)
+
+    def _axis_size(self, effect: str, parameter: str, typical: float) -> float:
         """Size worth looking for, from the axis' own scale: its force at unit command."""
         inertia, gain, _, viscous = self.believed[:4]
+        viscous_size = max(0.1 * viscous, 0.01 * inertia)
         sizes = {
             "torque_nm": 0.1 * gain,
-            "viscous_friction_nm_s": max(0.1 * viscous, 0.01 * inertia),
-            "viscous_nm_s": max(0.1 * viscous, 0.01 * inertia),
+            "viscous_friction_nm_s": viscous_size,
+            "viscous_nm_s": viscous_size,
             "mass_kg": 0.05 * inertia,
             "inertia_kg_m2": 0.05 * inertia,
         }
+        if effect == "quadratic_wheel_drag":
+            return viscous_size**2 / (0.1 * gain)  # as strong as the viscous at 0.1 gain
         return sizes.get(parameter, abs(typical))
-
-    def _already_there(self, candidate: Candidate) -> bool:
-        return any(
-            effect.name == candidate.effect and effect.wheel == candidate.wheel
-            for effect in self.model.effects
-        )
 
 
 def _shape_scale(parameter: dict) -> float:
@@ -273,7 +284,7 @@ def _shape_scale(parameter: dict) -> float:
 
 
 # Parameters that refine an effect once it is named, where it alone does not fit.
-EXTENSIONS = {("contact_shape", "brush")}
+EXTENSIONS = {("contact_shape", "brush"), ("contact_shape", "roller")}
 
 # Starting values of shaping parameters; where the fit is not convex one start is not enough.
 SHAPE_GRIDS = {

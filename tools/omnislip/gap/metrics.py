@@ -108,10 +108,10 @@ def gap_table(replays: Sequence[Replays], others: Sequence[Replays] = ()) -> Gap
     seen = [c for c in range(len(run.channels)) if any(_sampled(r, c) for r in replays)]
     moments = np.stack([_moments(r) for r in replays])[:, :, seen]
     repeated = _floor_from_repetitions([*replays, *others])
-    estimated = np.nanmean([_mean_floor(r) for r in replays], axis=0)
+    estimated = _mean(np.stack([_mean_floor(r) for r in replays]), axis=0)
     floor = (estimated if repeated is None else repeated)[seen]
     source = PREDICTED if repeated is None else REPEATED
-    rmse = np.sqrt(np.nanmean(moments, axis=0))
+    rmse = np.sqrt(_mean(moments, axis=0))
     left = left_over(replays, seen, floor)
     return GapTable(
         tuple(run.channels[c] for c in seen),
@@ -127,7 +127,8 @@ def gap_table(replays: Sequence[Replays], others: Sequence[Replays] = ()) -> Gap
 def left_over(replays: Sequence[Replays], seen: Sequence[int], floor: Array) -> Left:
     """Return the excess that the last model leaves, over the windows of one second."""
     windows = np.concatenate([_window_moments(r) for r in replays])[:, -1, seen]
-    excess = np.nanmean(windows / floor - 1.0, axis=1)
+    excess = _mean(windows / floor - 1.0, axis=1)
+    excess = excess[~np.isnan(excess)]
     error = float(np.std(excess) / np.sqrt(max(len(excess) - 1, 1)))
     return Left(float(np.mean(excess)), error)
 
@@ -136,7 +137,7 @@ def channel_rmse(replays: Sequence[Replays]) -> dict[str, Array]:
     """Return RMSE (models,) of every sampled channel over all runs."""
     moments = np.stack([_moments(r) for r in replays])
     return {
-        channel: np.sqrt(np.nanmean(moments[:, :, c], axis=0))
+        channel: np.sqrt(_mean(moments[:, :, c], axis=0))
         for c, channel in enumerate(replays[0].run.channels)
         if any(_sampled(r, c) for r in replays)
     }
@@ -151,11 +152,11 @@ def closed_fraction(replays: Sequence[Replays], seen: Sequence[int], floor: Arra
 
     def share(sample: Array) -> float:
         # 1 is subtracted for the floor; channels count alike because each is in floors.
-        excess = np.nanmean(np.nanmean(sample, axis=0) / floor - 1.0, axis=1)
+        excess = _mean(_mean(sample, axis=0) / floor - 1.0, axis=1)
         return float((excess[1] - excess[2]) / excess[1]) if excess[1] > 0.05 else np.nan
 
     value = share(units)
-    if not np.isfinite(value) or np.array_equal(units[:, 1], units[:, 2], equal_nan=True):
+    if not np.isfinite(value):
         return Closed(None, None, None)
     rng = np.random.default_rng(0)
     draws = rng.integers(0, len(units), (BOOTSTRAPS, len(units)))
@@ -171,9 +172,21 @@ def _sampled(replays: Replays, channel: int) -> bool:
 
 def _moments(replays: Replays) -> Array:
     """Mean square error (models, channels)."""
-    counted = replays.errors[:, replays.counted]
-    with np.errstate(invalid="ignore"):
-        return np.nansum(counted**2, axis=1) / np.sum(~np.isnan(counted), axis=1)
+    return _mean_square(replays.errors[:, replays.counted])
+
+
+def _mean_square(errors: Array) -> Array:
+    """Mean square over the sampled rows of (models, rows, channels); NaN where there is none."""
+    count = np.sum(~np.isnan(errors), axis=1)
+    total = np.nansum(errors**2, axis=1)
+    return np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0)
+
+
+def _mean(values: Array, axis: int) -> Array:
+    """Mean of what is not NaN; NaN where there is nothing."""
+    count = np.sum(~np.isnan(values), axis=axis)
+    total = np.nansum(values, axis=axis)
+    return np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0)
 
 
 def _window_moments(replays: Replays) -> Array:
@@ -184,8 +197,7 @@ def _window_moments(replays: Replays) -> Array:
     windows = []
     for window in range(number.max() + 1):
         errors = replays.errors[:, number == window]
-        count = np.sum(~np.isnan(errors), axis=1)
-        windows.append(np.nansum(errors**2, axis=1) / np.maximum(count, 1))
+        windows.append(_mean_square(errors))
     return np.stack(windows)
 
 
@@ -206,7 +218,7 @@ def _floor_from_repetitions(replays: Sequence[Replays]) -> Array | None:
         for second in range(first + 1, len(replays)):
             if _repeats(replays[first].run, replays[second].run):
                 found.append(_difference_variance(replays[first], replays[second]))
-    return np.nanmean(found, axis=0) if found else None
+    return _mean(np.stack(found), axis=0) if found else None
 
 
 def _repeats(one: Run, other: Run) -> bool:

@@ -111,7 +111,17 @@ def _added_text(findings: Findings) -> str:
     return "\n\n".join(tables[len(findings.machine.model.effects) :])
 
 
+IMPACT_UNITS = {
+    "time_s": "s",
+    "impulse_x_n_s": "N s",
+    "impulse_y_n_s": "N s",
+    "impulse_theta_n_m_s": "N m s",
+}
 GATE_TEXTS = {
+    "impact": {
+        "summary": "Something pushed the robot in this run; the log is cut there.",
+        "equation": "jump of the body's momentum, world frame",
+    },
     "wheel_permutation": {
         "summary": "The encoders are connected in another order than the motors.",
         "equation": "encoder column i shows wheel wheels[i]",
@@ -146,6 +156,21 @@ def _effects(findings: Findings, numbers: Json) -> list[Json]:
             "manoeuvre": None,
         }
         for effect in findings.wiring
+    ]
+    gates += [
+        {
+            "name": f"impact ({impact.run})",
+            "entry": GATE_TEXTS["impact"],
+            "sizes": [
+                {"name": name, "unit": IMPACT_UNITS[name], **size}
+                for name, size in found["parameters"].items()
+            ],
+            "rivals": [],
+            "manoeuvre": None,
+        }
+        for impact, found in zip(
+            findings.impacts, numbers["effects"][len(findings.wiring) :], strict=False
+        )
     ]
     known = numbers["effects"][len(gates) :] or numbers["nearest"]
     return gates + [

@@ -104,13 +104,17 @@ class Screened:
 
 
 def search(
-    machine: Machine, fitting: Sequence[Run], validation: Sequence[Run], progress: Progress
+    machine: Machine,
+    fitting: Sequence[Run],
+    validation: Sequence[Run],
+    noise: Noise | None,
+    progress: Progress,
 ) -> Outcome:
-    """Find the missing effects on `fitting` and `validation` runs."""
+    """Find the missing effects on `fitting` and `validation` runs, from a first `noise` or none."""
     candidates = machine.candidates()
     tried = sum(len(candidate.starts) for candidate in candidates)
     progress("fitting the believed model")
-    data, base = _settle(machine, fitting, _believed(machine))
+    data, base = _settle(machine, fitting, _believed(machine), noise)
     base_values = base.hypothesis
     current, trials, gained = base, [], 0.0
     limits = None

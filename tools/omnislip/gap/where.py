@@ -28,7 +28,7 @@ ROBOT_EQUATIONS = {
     "pose/position": (11, 12),
     "pose/heading": (13,),
 }
-AXIS_EQUATIONS = {"axis/force": (0,), "axis/position": (1,)}
+AXIS_EQUATIONS = {"axis/force": (0,)}  # one sensor: force and position are corrected alike
 WINDOW_S = 0.25
 LEAST_SHARE = 0.05
 MOST_ROWS = 4

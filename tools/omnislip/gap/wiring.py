@@ -20,8 +20,10 @@ from omnislip.model_file import WIRING, Effect
 
 LOOK_AT_S = 12.0
 MOST_MISTAKES = 3
+BETTER = 0.8
+"""One of several mistakes mended must leave less than this share of the mean square innovation,"""
 CLEARLY_BETTER = 0.25
-"""The mended logs must leave less than this share of the mean square innovation."""
+"""and all of them less than this one."""
 IMPLAUSIBLE = 30.0
 """Mean square of the whitened innovations below which the wiring is not in question."""
 
@@ -48,18 +50,17 @@ def find_wiring(machine: Machine, logs: Sequence[Log]) -> list[Effect]:
         return []
     looked_at = _beginning(logs)
     found: list[Effect] = []
-    while len(found) < MOST_MISTAKES:
-        now = _misfit(machine, looked_at)
-        if now < IMPLAUSIBLE:
-            break
+    first = now = _misfit(machine, looked_at)
+    while now > IMPLAUSIBLE and len(found) < MOST_MISTAKES:
         candidates = _mistakes()
         misfits = [_misfit(machine, [mend(log, [one]) for log in looked_at]) for one in candidates]
         best = int(np.argmin(misfits))
-        if misfits[best] > CLEARLY_BETTER * now:
+        if misfits[best] > BETTER * now:
             break
+        now = misfits[best]
         found.append(candidates[best])
         looked_at = [mend(log, [candidates[best]]) for log in looked_at]
-    return found
+    return found if now < CLEARLY_BETTER * first else []
 
 
 def _mistakes() -> list[Effect]:

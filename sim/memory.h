@@ -1,0 +1,186 @@
+/* memory.h - what a drive remembers: parts that the effects with memory share between the plants.
+ *
+ * The filtered state of a plant (speeds, angles, velocities, pose) is followed in the same array by
+ * its memory: lagging duty, current, heat, bristles, twist of the gear. As long as no effect with
+ * memory is switched on, only the state is integrated.
+ *
+ * A lag m' = rate (target - m) may be far faster than a step h. It is integrated exactly for a
+ * target that stays: over the step `gained` of the way is covered, and on average over the step
+ * the share `left` of the way lies ahead,
+ *
+ *   gained = 1 - exp(-rate h),   left = gained / (rate h),   mean m = target + (m0 - target) left
+ *
+ * Other equations see the mean, so rate to infinity is the plant without the lag. With a target
+ * that moves the error is second order in h.
+ *
+ * A soft gear parts the inertia J of a drive (seen at the wheel) into motor (1 - p) J and wheel
+ * p J, p = kWheelShare. Twist t = motor - wheel angle, slack u = wheel - motor speed = -t':
+ *
+ *   gear torque  k (t -+ play / 2) + c t' outside of the play, 0 inside; teeth do not pull
+ *   (1 - p) J motor' = motor torque - gear,   p J wheel' = gear - road
+ */
+#ifndef OMNISLIP_SIM_MEMORY_H
+#define OMNISLIP_SIM_MEMORY_H
+
+#include "effects.h"
+
+namespace omnislip {
+
+constexpr double kCoolingTime_s = 60.0; /* of a winding into its housing */
+constexpr double kWheelShare = 0.2;     /* wheel, shaft and last gear, of the drive's inertia */
+/* Teeth that meet behind a play, where no compliance is given: a stiff, well damped contact. */
+constexpr double kToothFrequency_rad_s = 3000.0;
+constexpr double kToothDampingRatio = 0.6;
+/* A step so long that every lag reaches its target. */
+constexpr double kForever_s = 1e30;
+
+template <class S>
+bool any_lane_differs(const S &x, double value) {
+    bool differs = false;
+    for (int i = 0; i < LaneCount<S>::value; ++i)
+        differs = differs || lane(x, i) != value;
+    return differs;
+}
+
+/* True when one of `n` values differs from `value` in one lane. */
+template <class S>
+bool any_differs(const S *values, int n, double value) {
+    bool differs = false;
+    for (int i = 0; i < n; ++i)
+        differs = differs || any_lane_differs(values[i], value);
+    return differs;
+}
+
+template <class S, int N>
+void forget(Constants<S, N> &c) {
+    for (int i = 0; i < N; ++i) {
+        c.delay_s[i] = c.driver_lag_s[i] = c.inductance_h[i] = S(0.0);
+        c.heating_1_a2_s[i] = c.bristle_length_m[i] = c.play_rad[i] = S(0.0);
+        c.stiffness_nm_rad[i] = S(kUnbounded);
+        c.damping_nm_s_rad[i] = S(0.0);
+    }
+}
+
+template <class S>
+struct Relaxation {
+    S gained, left;
+
+    /* Step over time constant; 0 / 0 is an instant without a lag and counts as reached. */
+    static Relaxation over(const S &length, const S &constant) {
+        using std::expm1;
+        using std::max;
+        using std::min;
+        const S lengths = min(length / max(constant, S(1e-200)), S(1e100));
+        const S gained = -expm1(-lengths);
+        const S left = select(lengths > S(0.0), gained / max(lengths, S(1e-300)), S(1.0));
+        return {gained, select(constant > S(0.0), left, S(0.0))};
+    }
+};
+
+template <class S>
+class SoftGear {
+  public:
+    void prepare(const S &play, const S &stiffness, const S &damping, const S &inertia) {
+        const S reduced = S(kWheelShare * (1.0 - kWheelShare)) * inertia;
+        const S tooth = S(kToothFrequency_rad_s * kToothFrequency_rad_s) * reduced;
+        const S tooth_damping = S(2.0 * kToothDampingRatio * kToothFrequency_rad_s) * reduced;
+        const auto springy = stiffness < S(kUnbounded);
+        inertia_ = inertia;
+        half_play_ = S(0.5) * play;
+        damping_ = select(springy, damping, tooth_damping);
+        stiffness_ = select(springy, stiffness, select(play > S(0.0), tooth, S(0.0)));
+    }
+
+    /* Acceleration of the motor and rate of the slack; all at the wheel. */
+    void accelerate(const S &motor, const S &road, const S &twist, const S &slack,
+                    S &motor_acceleration, S &slack_rate) const {
+        const S gear = torque(twist, -slack);
+        const S motor_side = (motor - gear) / (S(1.0 - kWheelShare) * inertia_);
+        const S wheel_side = (gear - road) / (S(kWheelShare) * inertia_);
+        const auto soft = stiffness_ > S(0.0);
+        motor_acceleration = select(soft, motor_side, (motor - road) / inertia_);
+        slack_rate = select(soft, wheel_side - motor_side, S(0.0));
+    }
+
+    /* Twist at which both sides accelerate alike, and that acceleration. */
+    S settled_twist(const S &motor, const S &road, S &acceleration) const {
+        acceleration = (motor - road) / inertia_;
+        const S gear = road + S(kWheelShare) * inertia_ * acceleration;
+        const auto soft = stiffness_ > S(0.0);
+        const S sprung = gear / select(soft, stiffness_, S(1.0));
+        return select(soft, sprung + sign_of(gear) * half_play_, S(0.0));
+    }
+
+    /* Bound on the rate that the gear adds, and factor by which it makes the wheel side lighter. */
+    S rate_1_s() const {
+        using std::max;
+        using std::sqrt;
+        const S reduced = S(kWheelShare * (1.0 - kWheelShare)) * inertia_;
+        const S fastest = max(sqrt(stiffness_ / reduced), damping_ / reduced);
+        return select(stiffness_ > S(0.0), fastest, S(0.0));
+    }
+    S lightening() const {
+        return select(stiffness_ > S(0.0), S(1.0 / kWheelShare), S(1.0));
+    }
+
+  private:
+    S torque(const S &twist, const S &twist_rate) const {
+        using std::max;
+        using std::min;
+        const S closed = twist - max(min(twist, half_play_), -half_play_);
+        const S sprung = stiffness_ * closed + damping_ * twist_rate;
+        const S pressed = select(closed * sprung > S(0.0), sprung, S(0.0));
+        return select(half_play_ > S(0.0), pressed, sprung);
+    }
+
+    S inertia_, half_play_, stiffness_, damping_;
+};
+
+/* The commands of a log up to `row`, each held from its time to the next, the first also before:
+ * what the drivers of a plant see on average from begin to end, at once if they are the same. */
+template <class Plant>
+class LoggedCommands {
+  public:
+    LoggedCommands(const Plant &plant, const double *time_s, const double *command, long row)
+        : plant_(plant), time_s_(time_s), command_(command), row_(row) {}
+
+    template <class S>
+    void operator()(double begin_s, double end_s, S *command) const {
+        constexpr int n = Plant::kMotors;
+        for (int i = 0; i < n; ++i) {
+            command[i] = S(command_[row_ * n + i]);
+            if (plant_.delays()) {
+                const S &delay_s = plant_.constants().delay_s[i];
+                command[i] = from_lanes<S>([&](int k) {
+                    const double late_s = lane(delay_s, k);
+                    return mean(i, begin_s - late_s, end_s - late_s);
+                });
+            }
+        }
+    }
+
+  private:
+    double mean(int motor, double begin_s, double end_s) const {
+        const double *command = command_ + motor;
+        const double length_s = end_s - begin_s;
+        double sum = 0.0;
+        long row = row_;
+        for (; row > 0 && time_s_[row] > begin_s; --row) {
+            if (time_s_[row] < end_s) {
+                sum += (end_s - time_s_[row]) * command[row * Plant::kMotors];
+                end_s = time_s_[row];
+            }
+        }
+        const double earliest = command[row * Plant::kMotors];
+        return end_s - begin_s == length_s ? earliest
+                                           : (sum + (end_s - begin_s) * earliest) / length_s;
+    }
+
+    const Plant &plant_;
+    const double *time_s_, *command_;
+    long row_;
+};
+
+}  // namespace omnislip
+
+#endif

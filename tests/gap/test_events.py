@@ -1,0 +1,60 @@
+"""Impacts: found at their time, sized with the plant, cut out of the logs."""
+
+import numpy as np
+import pytest
+from omnislip.gap.events import as_effect, find_impacts, pieces
+from omnislip.gap.machine import Machine
+from omnislip.gap.noise import tune_noise
+from omnislip.gap.recordings import make_run
+from omnislip.gap.truth import TruthCase, write_case
+from omnislip.log_file import Log, read_log
+from omnislip.model_file import read_model, write_model
+
+PUSHES = [(1.5, -1.0, 0.0), (-0.5, 6.0, 0.1)]
+
+
+def found_in(folder, push=None, **changed):
+    sizes = ("impulse_x_n_s", "impulse_y_n_s", "impulse_theta_n_m_s")
+    numbers = {"time_s": 2.5031} | dict(zip(sizes, push or (), strict=False))
+    hidden = {"name": "impact", "parameters": numbers, "run": "run_02", "wheel": None}
+    case = TruthCase(
+        seed=3, effects=(hidden,) if push else (), runs=3, run_duration_s=5.0, **changed
+    )
+    write_case(case, folder)
+    machine = Machine(read_model(folder / "robot.toml"))
+    logs = [read_log(path, "robot") for path in sorted(folder.glob("run_*.csv"))]
+    runs = [make_run(machine, log) for log in logs]
+    noise = tune_noise(machine, runs, machine.believed)
+    return find_impacts(machine, runs, machine.believed, noise)
+
+
+@pytest.mark.parametrize("push", PUSHES)
+def test_a_push_is_found_with_time_and_momentum(tmp_path, push):
+    """The lighter push is 0.09 m/s while the wheels drive: what it leaves shows its time to 15 ms.
+    Momentum within a third, for grip and mass are only believed."""
+    (impact,) = found_in(tmp_path, push)
+    assert impact.run == "run_02"
+    assert impact.time_s == pytest.approx(2.5031, abs=0.015)
+    error = np.hypot(*(impact.impulse[:2] - push[:2]))
+    assert error < 0.34 * np.hypot(*push[:2])
+
+
+@pytest.mark.parametrize("curve", ["atan", "tanh"])
+def test_driving_hard_is_no_push(tmp_path, curve):
+    assert found_in(tmp_path, friction_curve=curve) == []
+
+
+def test_an_impact_is_written_to_a_model_file_and_read_back(tmp_path):
+    (impact,) = found_in(tmp_path, PUSHES[1])
+    model = read_model(tmp_path / "robot.toml")
+    model.effects.append(as_effect(impact))
+    write_model(model, tmp_path / "amended.toml")
+    assert read_model(tmp_path / "amended.toml").effects == [as_effect(impact)]
+
+
+def test_a_log_is_cut_at_its_own_pushes_and_short_pieces_are_dropped():
+    t_s = np.arange(0.0, 6.0, 0.01)
+    log = Log("run_02", t_s, {})
+    cut = pieces(log, [("run_02", 2.0), ("run_02", 2.5), ("run_01", 4.0)])
+    spans = [(t_s[a], t_s[b - 1]) for a, b in cut]
+    assert spans == [(0.0, pytest.approx(1.99)), (pytest.approx(2.55), pytest.approx(5.99))]
