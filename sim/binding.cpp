@@ -260,6 +260,16 @@ void set_effect(const nb::dict &given, std::vector<double> &values) {
         if (name != E::info.name)
             return;
         known = true;
+        for (const auto &[given_name, value] : numbers) {
+            (void)value;
+            bool named = false;
+            for (int k = 0; k < E::info.parameter_count; ++k)
+                named = named || given_name == E::info.parameters[k].name;
+            if (!named) {
+                throw std::invalid_argument("unknown parameter '" + given_name + "' of effect '" +
+                                            name + "'");
+            }
+        }
         const int stride = effect_stride(E::info, RobotLayout::kMotors);
         for (int k = 0; k < E::info.parameter_count; ++k) {
             const auto found = numbers.find(E::info.parameters[k].name);
@@ -299,6 +309,18 @@ std::vector<double> robot_values(const Numbers &parameters, const nb::list &effe
     return values;
 }
 
+std::string unknown_firmware_name(const std::map<std::string, std::int32_t> &named) {
+    for (const auto &[name, value] : named) {
+        (void)value;
+        bool known = false;
+        for (int id = 0; id < firmware_parameter_count(); ++id)
+            known = known || name == firmware_parameter_name(id);
+        if (!known)
+            return "unknown firmware parameter '" + name + "'";
+    }
+    return "a firmware parameter is missing";
+}
+
 std::vector<std::int32_t> firmware_values(const std::map<std::string, std::int32_t> &named) {
     std::vector<std::int32_t> values;
     for (int id = 0; id < firmware_parameter_count(); ++id) {
@@ -309,6 +331,8 @@ std::vector<std::int32_t> firmware_values(const std::map<std::string, std::int32
         }
         values.push_back(found->second);
     }
+    if (named.size() != values.size())
+        throw std::invalid_argument(unknown_firmware_name(named));
     return values;
 }
 
@@ -432,7 +456,7 @@ NB_MODULE(_core, m) {
     m.def("base_parameters", &omnislip::base_parameters, "kind"_a = "robot",
           "Keys of the model file the plant reads, in the order of a parameter set.");
     m.def("simulate", &omnislip::simulate, "parameters"_a, "effects"_a, "firmware_parameters"_a,
-          "commands"_a, "impulses"_a, "duration_s"_a, "step_s"_a = 1e-3,
+          "commands"_a, "impulses"_a, "duration_s"_a, "step_s"_a = 5e-4,
           "Firmware and plant in closed loop; arrays with one row per control tick of 1 ms.");
     omnislip::bind_replay(m);
 }

@@ -14,11 +14,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from omnislip.gap.events import Impact
 from omnislip.gap.find import Findings, Split, Step, to_json
 from omnislip.gap.inference import Evidence, Fit, Hypothesis
 from omnislip.gap.leftover import Leftover
 from omnislip.gap.machine import Machine
-from omnislip.gap.metrics import Closed, GapTable, Replays
+from omnislip.gap.metrics import Closed, GapTable, Left, Replays
 from omnislip.gap.recordings import ROBOT_CHANNELS, Run
 from omnislip.gap.report import HEADLINES, format_number, render
 from omnislip.gap.search import Outcome, Selected, Trial
@@ -93,7 +94,8 @@ def findings_of(machine, verdict, effects=(), rivals=()):
     rmse = np.outer([0.0491, 0.0437, 0.00213], np.arange(1, count + 1))
     floor = 0.00152 * np.arange(1, count + 1)
     closed = Closed(0.976, 0.957, 0.989) if effects else Closed(None, None, None)
-    table = GapTable(channels, rmse, floor, "repeated manoeuvres", closed, ("run_03",))
+    left = Left(0.4, 0.1)
+    table = GapTable(channels, rmse, floor, "repeated manoeuvres", closed, left, ("run_03",))
     shares = np.arange(len(equations), 0.0, -1.0)
     excess = np.outer(np.ones(120), shares)
     gap_map = Map(equations, (fitting.t_s, checking.t_s), (excess, excess), shares / shares.sum())
@@ -110,6 +112,8 @@ def findings_of(machine, verdict, effects=(), rivals=()):
         machine=machine,
         split=Split([fitting], [checking], [held], "whole runs"),
         outcome=outcome,
+        wiring=[],
+        impacts=[],
         amended=replace(machine.model, effects=added),
         places=[place] if effects else [],
         gap_map=gap_map,
@@ -136,6 +140,8 @@ def insufficient(machine):
         machine=machine,
         split=Split([], [], [], "no run was used"),
         outcome=None,
+        wiring=[],
+        impacts=[],
         amended=machine.model,
         places=[],
         gap_map=None,
@@ -415,3 +421,12 @@ def browse(page: Path, profile: Path) -> subprocess.CompletedProcess[str]:
         timeout=120,
         check=True,
     )
+
+
+def test_wiring_and_impacts_are_shown_before_the_effects(found):
+    push = Impact("run_02", 1.25, np.array([1.5, -2.5, 0.1]), np.array([0.1, 0.1, 0.01]))
+    mended = replace(found, wiring=[Effect("encoder_sign", {}, 2)], impacts=[push])
+    page = render(mended, "omnislip")
+    first = found.outcome.selected[0].candidate.name
+    places = [page.index(f"<h3>{name}") for name in ("encoder_sign", "impact (run_02)", first)]
+    assert places == sorted(places)

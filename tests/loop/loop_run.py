@@ -43,7 +43,7 @@ def run(
     controller="slip",
     effects=(),
     impulses=(),
-    step_s=1e-3,
+    step_s=5e-4,
     parameters=None,
     firmware=None,
 ):
