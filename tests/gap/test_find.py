@@ -288,9 +288,9 @@ def test_no_row_is_in_two_parts_of_the_split(count, tmp_path):
 def test_the_search_never_sees_a_held_out_row(count, tmp_path, monkeypatch):
     seen = []
 
-    def spy(machine, fitting, validation, progress):
+    def spy(machine, fitting, validation, noise, progress):
         seen.append(stretches([*fitting, *validation]))
-        return search(machine, fitting, validation, progress)
+        return search(machine, fitting, validation, noise, progress)
 
     search = find.search
     monkeypatch.setattr(find, "search", spy)

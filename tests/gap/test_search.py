@@ -14,7 +14,7 @@ FITTING, VALIDATION = range(4), range(10, 14)
 def find(machine, bench, first_seed=0):
     fitting = make_runs(machine, bench, range(first_seed, first_seed + 4))
     validation = make_runs(machine, bench, range(first_seed + 10, first_seed + 14))
-    return search(machine, fitting, validation, silent)
+    return search(machine, fitting, validation, None, silent)
 
 
 def names(outcome):

@@ -101,7 +101,7 @@ def test_friction_of_an_axis_is_in_its_force(tmp_path):
         make_runs(machine, bench, range(4)),
         make_runs(machine, bench, range(4, 8)),
     )
-    outcome = search(machine, fitting, validation, silent)
+    outcome = search(machine, fitting, validation, None, silent)
     refit, after = (f.hypothesis.flat(machine.believed) for f in (outcome.base, outcome.final))
     found = map_gap(machine, fitting, outcome.data.noise, refit, after)
     places = describe(fitting, found)
