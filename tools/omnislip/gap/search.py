@@ -51,6 +51,7 @@ DROP_P_VALUE = 0.01
 CONVERGED = 0.05
 """Share of a candidate's gain that refitting without it may find."""
 VALIDATION_SHARE = 0.75
+SHORTEST_LAG_ROWS = 0.1
 
 
 @dataclass(frozen=True)
@@ -302,6 +303,8 @@ def _try(
         reason, passed = _verdict(evidence, gains, tried, gained)
         if passed and not _differs(candidate, values - absent, evidence):
             reason, passed = "its size cannot be told from none beside the other parameters", False
+        if passed and _within_row(data, candidate, values):
+            reason, passed = "shorter than the log can time: a tenth of a row", False
         if passed and any(trial.accepted for trial, _ in found):
             reason, passed = f"explains less than {found[0][0].candidate.name}", False
         gain = float(np.sum(gains))
@@ -347,6 +350,18 @@ def _verdict(evidence: Evidence, gains: Array, tried: int, gained: float) -> tup
     if evidence.gain < LEAST_SHARE * gained:
         return "real perhaps, but under 1 % of what was found", False
     return "explains more than any other effect", True
+
+
+def _within_row(data: Data, candidate: Candidate, sizes: Array) -> bool:
+    """Whether a lag is so short that it may be the averaging of the command over a row."""
+    resistance = float(data.machine.model.values.get("motor.resistance_ohm", 1.0))
+    seconds = {
+        "actuation_delay": sizes[0],
+        "driver_lag": sizes[0],
+        "armature_inductance": sizes[0] / resistance,
+    }
+    row_s = float(np.median(np.diff(data.runs[0].t_s)))
+    return seconds.get(candidate.effect, np.inf) < SHORTEST_LAG_ROWS * row_s
 
 
 def _differs(candidate: Candidate, sizes: Array, evidence: Evidence) -> bool:
