@@ -92,7 +92,6 @@ struct Constants {
     S load_bias_n[N];
     S cog_x_m, cog_y_m, cog_height_m;
     S source_resistance_ohm;
-    S encoder_scale[N];
     S friction_speed; /* rad/s at the shaft; a Coulomb torque is smoothed over it */
     /* memory: see memory.h */
     S delay_s[N], driver_lag_s[N], inductance_h[N], heating_1_a2_s[N], bristle_length_m[N];

@@ -98,7 +98,7 @@ class RowUpdate {
     int states_, outputs_;
 };
 
-/* Runs `work(task)` for task = 0..count-1 on all cores; the first exception is thrown again. */
+/* Runs `work(task)` for task = 0..count-1 on all cores; `work` must not throw. */
 void in_parallel(int count, const std::function<void(int)> &work) {
     std::atomic<int> next{0};
     const auto worker = [&] {

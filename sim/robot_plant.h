@@ -387,13 +387,13 @@ class RobotPlant : public RobotLayout {
             angle[i] = S(0.0);
             torque[i] = c_.torque_constant_nm_a[i] * c_.supply_v / c_.resistance_ohm;
         }
-        ShaftTerm<S, 4> at_rest = friction(speed, angle, torque);
+        const ShaftTerm<S, 4> moving = friction(speed, angle, torque);
         for (int i = 0; i < 4; ++i)
             speed[i] = S(0.0);
-        const ShaftTerm<S, 4> at_zero = friction(speed, angle, torque);
+        const ShaftTerm<S, 4> still = friction(speed, angle, torque);
         using std::max;
         for (int i = 0; i < 4; ++i) {
-            shaft_damping_[i] = max((at_zero.torque_nm[i] - at_rest.torque_nm[i]) / probe, S(0.0));
+            shaft_damping_[i] = max((still.torque_nm[i] - moving.torque_nm[i]) / probe, S(0.0));
         }
     }
 

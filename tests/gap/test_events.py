@@ -29,14 +29,22 @@ def found_in(folder, push=None, **changed):
 
 
 @pytest.mark.parametrize("push", PUSHES)
-def test_a_push_is_found_with_time_and_momentum(tmp_path, push):
-    """The lighter push is 0.09 m/s while the wheels drive: what it leaves shows its time to 15 ms.
-    Momentum within a third, for grip and mass are only believed."""
+def test_a_push_is_found_at_its_time(tmp_path, push):
+    """The lighter push is 0.09 m/s while the wheels drive: what it leaves shows its time to 15 ms."""
     (impact,) = found_in(tmp_path, push)
     assert impact.run == "run_02"
     assert impact.time_s == pytest.approx(2.5031, abs=0.015)
+
+
+LIGHT = pytest.mark.xfail(reason="a light push under drive is sized a third too large", strict=True)
+
+
+@pytest.mark.parametrize("push", [pytest.param(PUSHES[0], marks=LIGHT), PUSHES[1]])
+def test_momentum_of_a_push_is_right_within_a_fifth(tmp_path, push):
+    """A fifth, for grip and mass are only believed."""
+    (impact,) = found_in(tmp_path, push)
     error = np.hypot(*(impact.impulse[:2] - push[:2]))
-    assert error < 0.34 * np.hypot(*push[:2])
+    assert error < 0.2 * np.hypot(*push[:2])
 
 
 @pytest.mark.parametrize("curve", ["atan", "tanh"])
