@@ -30,7 +30,7 @@ def found_in(folder, push=None, **changed):
 
 @pytest.mark.parametrize("push", PUSHES)
 def test_a_push_is_found_at_its_time(tmp_path, push):
-    """The lighter push is 0.09 m/s while the wheels drive: what it leaves shows its time to 15 ms."""
+    """The lighter push is 0.09 m/s while the wheels drive; what it leaves shows when to 15 ms."""
     (impact,) = found_in(tmp_path, push)
     assert impact.run == "run_02"
     assert impact.time_s == pytest.approx(2.5031, abs=0.015)
