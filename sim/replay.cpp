@@ -98,6 +98,17 @@ class RowUpdate {
     int states_, outputs_;
 };
 
+/* Mean square change of a motor's command into and out of row k. */
+double squared_change(const Recording &recording, int motors, std::size_t k, int motor) {
+    const auto command = [&](std::size_t row) {
+        return recording
+            .command[row * static_cast<std::size_t>(motors) + static_cast<std::size_t>(motor)];
+    };
+    const double into = k > 0 ? command(k) - command(k - 1) : 0.0;
+    const double out = command(k + 1) - command(k);
+    return 0.5 * (into * into + out * out);
+}
+
 /* Runs `work(task)` for task = 0..count-1 on all cores; `work` must not throw. */
 void in_parallel(int count, const std::function<void(int)> &work) {
     std::atomic<int> next{0};
@@ -183,10 +194,17 @@ Track track(const Kernel &kernel, const Recording &recording, const double *valu
         x = next;
         if (keep_linear)
             std::copy(transition.data(), transition.data() + n * n, &result.transition[k * n * n]);
+        Vector grown = process * duration_s;
+        const int motors = kernel.motors();
+        const double way = duration_s * duration_s / 12.0;
+        for (int i = 0; i < motors; ++i) { /* the ways follow the speeds in the state */
+            grown[motors + i] +=
+                noise.unresolved * way * way * squared_change(recording, motors, k, i);
+        }
         p = transition * p * transition.transpose();
-        p.diagonal() += process * duration_s;
+        p.diagonal() += grown;
         free = transition * free * transition.transpose();
-        free.diagonal() += process * duration_s;
+        free.diagonal() += grown;
     }
     return result;
 }

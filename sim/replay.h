@@ -35,11 +35,18 @@ struct Recording {
     std::vector<double> initial_state;
 };
 
-/* Noise of the filter: variances per second added to each state, variances of the outputs, and the
- * variance of the rows' times [s^2]: a row taken d late shows every output d times its rate off. */
+/* Noise of the filter: variances per second added to each state, variances of the outputs, the
+ * variance of the rows' times [s^2]: a row taken d late shows every output d times its rate off,
+ * and what a row's mean command does not tell. A controller that is faster than the log moves the
+ * command within a row. Going evenly from the one neighbour's command to the other's, with a change
+ * c a row of length T, it leaves the speed at the end of the row where the mean takes it but the
+ * way a c T^2 / 12 short, a the motor's acceleration per command: variance unresolved * c^2 T^4 /
+ * 144 of each motor's way, unresolved = a^2 if the whole change happens so, 0 if the command is
+ * held. */
 struct Noise {
     std::vector<double> process, output, initial;
     double timing_s2 = 0.0;
+    double unresolved = 0.0;
 };
 
 struct Track {

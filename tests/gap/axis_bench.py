@@ -131,6 +131,7 @@ def true_noise() -> Noise:
         np.array([PLACE_SD_M**2]),
         np.array([1e-2, PLACE_SD_M**2]),
         0.0,
+        0.0,
         np.log([PUSH_M2_S3, PLACE_SD_M**2]),
     )
 

@@ -49,7 +49,7 @@ def log_of(velocity, rows=21, row_s=0.005, pose_every=4):
 
 def initial_state(run):
     """State of the filter's first row, before it has corrected anything."""
-    certain = Noise(np.zeros(14), np.ones(8), np.zeros(14), 0.0, np.zeros(7))
+    certain = Noise(np.zeros(14), np.ones(8), np.zeros(14), 0.0, 0.0, np.zeros(8))
     [track] = track_all(ROBOT, [run], ROBOT.believed, certain)
     return track.state.reshape(-1, 14)[0]
 

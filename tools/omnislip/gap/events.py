@@ -165,7 +165,7 @@ class _After:
     def _track(self, recording: _core.Recording) -> _core.Track:
         n = self._noise
         return self._machine.engine.track(
-            [recording], self._values, n.process, n.output, n.initial, n.timing_s2
+            [recording], self._values, n.process, n.output, n.initial, n.timing_s2, n.unresolved
         )[0]
 
     def _weights(self) -> Array:

@@ -28,13 +28,15 @@ TUNING_TIME_S = 24.0
 class Noise:
     """Variances: `process` (states,) per second, `output` (outputs,), `initial` (states,).
 
-    `timing_s2` is the variance of the rows' times.
+    `timing_s2` is the variance of the rows' times, `unresolved` that of a shaft's acceleration by
+    commands that move within a row ((rad/s2)^2 per squared duty).
     """
 
     process: Array
     output: Array
     initial: Array
     timing_s2: float
+    unresolved: float
     logs: Array
     """Logarithms of the fitted variances."""
 
@@ -54,6 +56,7 @@ def track_all(
         noise.output,
         noise.initial,
         noise.timing_s2,
+        noise.unresolved,
         keep_linear=keep_linear,
     )
 
@@ -117,12 +120,12 @@ def _robot_start(runs: Sequence[Run]) -> Array:
     place = _median_variance(runs, [5, 6], 1e-8)
     heading = _median_variance(runs, [HEADING], 1e-8)
     # A 1 N push on 20 kg for 20 ms at random; 1 % of a motor's stall acceleration likewise.
-    # Times are written with 0.01 to 1 ms.
-    return np.log([100.0, 1e-3, 1e-2, gyro, place, heading, 1e-9])
+    # Times are written with 0.01 to 1 ms; commands are mostly held from row to row.
+    return np.log([100.0, 1e-3, 1e-2, gyro, place, heading, 1e-9, 1.0])
 
 
 def _robot_noise(machine: Machine, logs: Array) -> Noise:
-    shaft, body, yaw, gyro, place, heading, timing = np.exp(logs)
+    shaft, body, yaw, gyro, place, heading, timing, share = np.exp(logs)
     process = np.zeros(14)
     process[SHAFT], process[BODY], process[YAW] = shaft, body, yaw
     count_rad = 2 * np.pi / float(machine.model.values["encoder.counts_per_rev"])
@@ -130,7 +133,15 @@ def _robot_noise(machine: Machine, logs: Array) -> Noise:
     output[:4] = count_rad**2 / 12
     output[GYRO], output[POSE_XY], output[HEADING] = gyro, place, heading
     initial = np.array([25.0] * 4 + [count_rad**2] * 4 + [0.02, 0.02, 0.05, 1e-4, 1e-4, 1e-4])
-    return Noise(process, output, initial, float(timing), logs)
+    unresolved = float(share) * _stall_acceleration_rad_s2(machine) ** 2
+    return Noise(process, output, initial, float(timing), unresolved, logs)
+
+
+def _stall_acceleration_rad_s2(machine: Machine) -> float:
+    """Return how fast a motor at rest that drives nothing starts at full duty."""
+    values = machine.model.values
+    current_a = values["motor.supply_v"] / values["motor.resistance_ohm"]
+    return current_a * values["motor.torque_constant_nm_a"] / values["motor.inertia_kg_m2"]
 
 
 def _axis_start(runs: Sequence[Run]) -> Array:
@@ -143,4 +154,4 @@ def _axis_start(runs: Sequence[Run]) -> Array:
 def _axis_noise(machine: Machine, logs: Array) -> Noise:
     push, place = np.exp(logs)
     process, output = np.array([push, 0.0]), np.array([place])
-    return Noise(process, output, np.array([place * 1e6, place]), 0.0, logs)
+    return Noise(process, output, np.array([place * 1e6, place]), 0.0, 0.0, logs)
