@@ -236,7 +236,11 @@ ClosedLoopLog run_closed_loop(const std::vector<double> &values,
         }
     }
     Robot robot(values, step_s);
-    const hal_host_plant hal = {&robot, read_counts, write_duty, read_supply};
+    hal_host_plant hal = {};
+    hal.context = &robot;
+    hal.read_encoder_counts = read_counts;
+    hal.write_duty = write_duty;
+    hal.read_supply_mv = read_supply;
     hal_host_attach(&hal);
     control_loop loop;
     control_loop_init(&loop, &settings);

@@ -93,7 +93,7 @@ void reference_plant_reset(reference_plant *plant) {
 }
 
 void reference_plant_attach(reference_plant *plant) {
-    hal_host_plant host;
+    hal_host_plant host = {0};
     host.context = plant;
     host.read_encoder_counts = read_counts;
     host.write_duty = write_duty;

@@ -9,11 +9,13 @@
 
 int main() {
     int writes = 0;
-    const hal_host_plant plant = {
-        &writes,
-        [](void *, std::uint16_t counts[4]) { counts[0] = counts[1] = counts[2] = counts[3] = 0; },
-        [](void *context, const std::int16_t *) { ++*static_cast<int *>(context); },
-        [](void *) -> std::uint16_t { return 24000; }};
+    hal_host_plant plant = {};
+    plant.context = &writes;
+    plant.read_encoder_counts = [](void *, std::uint16_t counts[4]) {
+        counts[0] = counts[1] = counts[2] = counts[3] = 0;
+    };
+    plant.write_duty = [](void *context, const std::int16_t *) { ++*static_cast<int *>(context); };
+    plant.read_supply_mv = [](void *) -> std::uint16_t { return 24000; };
     parameters p;
     control_loop loop;
     parameters_set_defaults(&p);
