@@ -2,11 +2,13 @@
  *
  *       command     m/s Q13, rad/s Q11 | mm Q13, mrad Q13 | duty Q15
  *          |
+ *     supervisor <---------------------- faults of wheels, supply, bridges, link
+ *          |
  *          v                                                             world frame
  *      trajectory   m/s Q22, rad/s Q22 and mm Q13, mrad Q13
  *          |
  *          v   error mm Q8 * gain Q20 -> m/s Q22
- *         (-)<------------------------------- pose   mm Q13, mrad Q13
+ *         (-)<------------------------------- pose   mm Q13, mrad Q13 <-- outside pose
  *          |                                   ^
  *    traction limit  F = (J+)' M a, N Q8       |
  *          |                                odometry
@@ -37,10 +39,20 @@
 #include "firmware/motor.h"
 #include "hal/hal.h"
 
+/* What the tick measures beyond the telemetry. */
+typedef struct {
+    i16 supply_v_q9;
+    i16 voltage_v_q9[WHEEL_COUNT]; /* applied during the last tick */
+    i16 step_counts[WHEEL_COUNT];
+    i16 rim_m_s_q13[WHEEL_COUNT];
+    u16 encoder_errors;
+} measurement;
+
 /* The parts of the tick, in the order of their call; each works on the loop's state. */
-static i16 measure(control_loop *loop);
-static control_limit fault(control_loop *loop, i16 supply_v_q9);
-static void rest(control_loop *loop, control_limit reason);
+static void measure(control_loop *loop, measurement *now);
+static void locate(control_loop *loop, const measurement *now);
+static void supervise(control_loop *loop, const measurement *now);
+static void rest(control_loop *loop);
 static void drive_duty(control_loop *loop);
 static kinematics_force advance_target(control_loop *loop);
 static kinematics_velocity demand_velocity(control_loop *loop);
@@ -48,90 +60,137 @@ static void drive_wheels(control_loop *loop, const kinematics_velocity *body,
                          const kinematics_force *inertia, i16 supply_v_q9);
 
 void control_loop_tick(control_loop *loop) {
-    const i16 supply_v_q9 = measure(loop);
-    const control_limit fault_now = fault(loop, supply_v_q9);
+    measurement now;
     kinematics_velocity body;
     kinematics_force inertia;
 
+    measure(loop, &now);
+    locate(loop, &now);
+    supervise(loop, &now);
     loop->telemetry.limit = CONTROL_LIMIT_NONE;
-    if (fault_now != CONTROL_LIMIT_NONE) {
-        rest(loop, fault_now);
-    } else if (loop->telemetry.mode == CONTROL_MODE_IDLE) {
-        rest(loop, loop->idle_limit);
+    loop->telemetry.limit_wheel = 0;
+    if (loop->supervision.state != SUPERVISOR_STATE_DRIVE) {
+        rest(loop);
     } else if (loop->telemetry.mode == CONTROL_MODE_DUTY) {
         drive_duty(loop);
     } else {
         inertia = advance_target(loop);
         body = demand_velocity(loop);
-        drive_wheels(loop, &body, &inertia, supply_v_q9);
+        drive_wheels(loop, &body, &inertia, now.supply_v_q9);
     }
     hal_write_duty(loop->telemetry.duty_q15);
 }
 
 /* ---- From the sensors to the pose ---- */
 
-static i16 read_supply_v_q9(void) {
+static i16 supply_v_q9(u16 supply_mv) {
     /* mV -> V Q9: times 512 / 1000 = 33554 / 2^16 */
-    const u32 supply_q9 = (u32)hal_read_supply_mv() * (u32)33554 >> 16;
+    const u32 supply_q9 = (u32)supply_mv * (u32)33554 >> 16;
     return supply_q9 > I16_MAX ? I16_MAX : (i16)supply_q9;
 }
 
-static void measure_wheels(control_loop *loop, i16 rim_m_s_q13[WHEEL_COUNT]) {
-    u16 counts[WHEEL_COUNT];
+static void start_counting(control_loop *loop) {
     u16 i;
-    hal_read_encoder_counts(counts);
     for (i = 0; i < WHEEL_COUNT; i++) {
-        i16 shaft_q5;
-        if (!loop->counters_known)
-            wheel_speed_reset(&loop->speed[i], counts[i]);
-        shaft_q5 = wheel_speed_step_rad_s_q5(&loop->speed[i], loop->settings, counts[i]);
-        loop->telemetry.shaft_rad_s_q5[i] = shaft_q5;
-        /* Q5 * Q20 = Q25 -> Q13 */
-        rim_m_s_q13[i] = fixed_saturate_i16(fixed_shift_right(
-            (i32)shaft_q5 * PARAMETER_GET(loop->settings, rim_per_shaft_q20), 12));
+        wheel_speed_reset(&loop->speed[i], loop->telemetry.encoder_counts[i]);
+        wheel_monitor_reset(&loop->monitor[i], loop->telemetry.encoder_counts[i]);
     }
-    loop->counters_known = 1;
 }
 
-static i16 measure(control_loop *loop) {
+static void measure(control_loop *loop, measurement *now) {
     control_loop_telemetry *telemetry = &loop->telemetry;
-    i16 rim_m_s_q13[WHEEL_COUNT];
-    i16 voltage_v_q9[WHEEL_COUNT];
-    i16 supply_q9;
+    const u16 *counts = telemetry->encoder_counts;
     u16 i;
-    measure_wheels(loop, rim_m_s_q13);
-    supply_q9 = read_supply_v_q9();
+    hal_read_encoder_counts(telemetry->encoder_counts);
+    hal_read_currents_ma(telemetry->current_ma);
+    telemetry->supply_mv = hal_read_supply_mv();
+    now->supply_v_q9 = supply_v_q9(telemetry->supply_mv);
+    now->encoder_errors = hal_read_encoder_errors();
+    if (!loop->counters_known)
+        start_counting(loop);
+    loop->counters_known = 1;
     for (i = 0; i < WHEEL_COUNT; i++) {
-        voltage_v_q9[i] = fixed_multiply_q15(supply_q9, telemetry->duty_q15[i]);
+        i16 shaft_q5;
+        now->voltage_v_q9[i] = fixed_multiply_q15(now->supply_v_q9, telemetry->duty_q15[i]);
+        now->step_counts[i] = wheel_speed_counts_since(&loop->speed[i], counts[i]);
+        shaft_q5 = wheel_speed_step_rad_s_q5(&loop->speed[i], loop->settings, counts[i]);
+        telemetry->shaft_rad_s_q5[i] = shaft_q5;
+        /* Q5 * Q20 = Q25 -> Q13 */
+        now->rim_m_s_q13[i] = fixed_saturate_i16(fixed_shift_right(
+            (i32)shaft_q5 * PARAMETER_GET(loop->settings, rim_per_shaft_q20), 12));
     }
-    slip_observer_step(&loop->observer, loop->settings, voltage_v_q9, telemetry->shaft_rad_s_q5,
-                       rim_m_s_q13);
+}
+
+static void locate(control_loop *loop, const measurement *now) {
+    control_loop_telemetry *telemetry = &loop->telemetry;
+    u16 i;
+    slip_observer_step(&loop->observer, loop->settings, now->voltage_v_q9,
+                       telemetry->shaft_rad_s_q5, now->rim_m_s_q13);
     for (i = 0; i < WHEEL_COUNT; i++) {
         telemetry->force_n_q8[i] = slip_observer_force_n_q8(&loop->observer, i);
         telemetry->slip_m_s_q13[i] = loop->observer.slip_m_s_q13[i];
     }
-    telemetry->null_slip_m_s_q13 = kinematics_null_slip_m_s_q13(loop->settings, rim_m_s_q13);
+    telemetry->null_slip_m_s_q13 = kinematics_null_slip_m_s_q13(loop->settings, now->rim_m_s_q13);
     telemetry->observed = slip_observer_velocity(&loop->observer);
-    kinematics_forward(loop->settings, rim_m_s_q13, &telemetry->rolling);
+    kinematics_forward(loop->settings, now->rim_m_s_q13, &telemetry->rolling);
     odometry_step(&telemetry->pose, PARAMETER_GET(loop->settings, slip_compensation)
                                         ? &telemetry->observed
                                         : &telemetry->rolling);
-    return supply_q9;
+    outside_pose_step(&loop->outside, &telemetry->pose);
 }
 
 /* ---- Reasons to stand still ---- */
 
-/* What forces the duty to zero, CONTROL_LIMIT_NONE if nothing does. */
-static control_limit fault(control_loop *loop, i16 supply_v_q9) {
-    const parameters *p = loop->settings;
-    if (supply_v_q9 < PARAMETER_GET(p, supply_minimum_q9))
-        return CONTROL_LIMIT_SUPPLY;
-    if (loop->telemetry.mode == CONTROL_MODE_IDLE)
-        return CONTROL_LIMIT_NONE;
-    if (loop->command_age_ms >= PARAMETER_GET(p, command_timeout_ms))
-        return CONTROL_LIMIT_TIMEOUT;
-    loop->command_age_ms++;
-    return CONTROL_LIMIT_NONE;
+static void watch_wheels(control_loop *loop, const measurement *now) {
+    const control_loop_telemetry *telemetry = &loop->telemetry;
+    u16 i;
+    for (i = 0; i < WHEEL_COUNT; i++) {
+        wheel_monitor_input input;
+        supervisor_fault fault;
+        input.count = telemetry->encoder_counts[i];
+        input.step_counts = now->step_counts[i];
+        input.shaft_rad_s_q5 = telemetry->shaft_rad_s_q5[i];
+        input.voltage_v_q9 = now->voltage_v_q9[i];
+        input.force_n_q8 = telemetry->force_n_q8[i];
+        input.current_ma = telemetry->current_ma[i];
+        input.glitch = (u16)(now->encoder_errors >> i & 1U);
+        fault = wheel_monitor_step(&loop->monitor[i], loop->settings, &input);
+        if (fault != SUPERVISOR_FAULT_NONE)
+            supervisor_raise(&loop->supervision, fault, (u16)(i + 1U));
+    }
+}
+
+static void watch_power(control_loop *loop, const measurement *now) {
+    const u16 bridge_faults = loop->bridges_on ? hal_read_bridge_faults() : 0;
+    if (now->supply_v_q9 < PARAMETER_GET(loop->settings, supply_minimum_q9))
+        supervisor_raise(&loop->supervision, SUPERVISOR_FAULT_UNDER_VOLTAGE, 0);
+    if (bridge_faults != 0)
+        supervisor_raise(&loop->supervision, SUPERVISOR_FAULT_BRIDGE, bridge_faults & 1U ? 1 : 3);
+}
+
+static void watch_command(control_loop *loop) {
+    if (loop->supervision.state != SUPERVISOR_STATE_DRIVE)
+        return;
+    if (loop->command_age_ms >= PARAMETER_GET(loop->settings, command_timeout_ms)) {
+        supervisor_raise(&loop->supervision, SUPERVISOR_FAULT_COMMAND_TIMEOUT, 0);
+    } else {
+        loop->command_age_ms++;
+    }
+}
+
+static void supervise(control_loop *loop, const measurement *now) {
+    supervisor_tick(&loop->supervision);
+    watch_wheels(loop, now);
+    watch_power(loop, now);
+    watch_command(loop);
+    supervisor_ask(&loop->supervision, SUPERVISOR_READY);
+    loop->telemetry.state = loop->supervision.state;
+    loop->telemetry.fault = loop->supervision.fault;
+    loop->telemetry.fault_wheel = loop->supervision.fault_wheel;
+    if (loop->bridges_on != supervisor_bridges_on(&loop->supervision)) {
+        loop->bridges_on = supervisor_bridges_on(&loop->supervision);
+        hal_enable_bridges(loop->bridges_on);
+    }
 }
 
 /* Target, demand and wheel controllers rest on the measured motion, so that a later command starts
@@ -150,13 +209,11 @@ static void follow_motion(control_loop *loop) {
     }
 }
 
-static void rest(control_loop *loop, control_limit reason) {
+static void rest(control_loop *loop) {
     u16 i;
     for (i = 0; i < WHEEL_COUNT; i++)
         loop->telemetry.duty_q15[i] = 0;
     loop->telemetry.mode = CONTROL_MODE_IDLE;
-    loop->telemetry.limit = reason;
-    loop->idle_limit = reason;
     follow_motion(loop);
 }
 
@@ -172,20 +229,31 @@ static void drive_duty(control_loop *loop) {
 /* ---- From the target to the duty ---- */
 
 /* Every clamp has a name that reaches the operator; the enumeration is in order of weight. */
-static void report_limit(control_loop *loop, control_limit limit) {
-    if (limit > loop->telemetry.limit)
-        loop->telemetry.limit = limit;
+static void report_limit(control_loop *loop, control_limit limit, u16 wheel) {
+    if (limit <= loop->telemetry.limit)
+        return;
+    loop->telemetry.limit = limit;
+    loop->telemetry.limit_wheel = wheel;
+}
+
+/* Keeps a change of one tick within the grip. */
+static void limit_to_grip(control_loop *loop, u16 heading, traction_change *change) {
+    const u16 wheel = traction_limit(loop->settings, heading, change);
+    if (wheel != 0)
+        report_limit(loop, CONTROL_LIMIT_TRACTION, wheel);
 }
 
 /* Advances the target; returns the force that its acceleration takes, in the body frame. */
 static kinematics_force advance_target(control_loop *loop) {
     const u16 heading = odometry_binary_angle(loop->telemetry.pose.theta_mrad_q13);
     traction_change change = loop->target.velocity;
-    u16 axis;
+    u16 wheel, axis;
     if (loop->telemetry.mode == CONTROL_MODE_POSE) {
-        trajectory_step_to_pose(&loop->target);
-    } else if (trajectory_step_velocity(&loop->target, loop->settings, &loop->command_velocity)) {
-        report_limit(loop, CONTROL_LIMIT_TRACTION);
+        trajectory_step_to_pose(&loop->target, loop->settings);
+    } else {
+        wheel = trajectory_step_velocity(&loop->target, loop->settings, &loop->command_velocity);
+        if (wheel != 0)
+            report_limit(loop, CONTROL_LIMIT_TRACTION, wheel);
     }
     loop->telemetry.target.x_mm_q13 = loop->target.position_q13[0];
     loop->telemetry.target.y_mm_q13 = loop->target.position_q13[1];
@@ -193,9 +261,7 @@ static kinematics_force advance_target(control_loop *loop) {
     for (axis = 0; axis < 3; axis++) {
         change.axis_q22[axis] = loop->target.velocity.axis_q22[axis] - change.axis_q22[axis];
     }
-    if (traction_limit(loop->settings, heading, &change)) {
-        report_limit(loop, CONTROL_LIMIT_TRACTION);
-    }
+    limit_to_grip(loop, heading, &change);
     return traction_inertia_force(loop->settings, heading, &change);
 }
 
@@ -229,9 +295,7 @@ static kinematics_velocity demand_velocity(control_loop *loop) {
     wanted_velocity(loop, &change);
     for (axis = 0; axis < 3; axis++)
         change.axis_q22[axis] -= loop->demand.axis_q22[axis];
-    if (traction_limit(loop->settings, heading, &change)) {
-        report_limit(loop, CONTROL_LIMIT_TRACTION);
-    }
+    limit_to_grip(loop, heading, &change);
     for (axis = 0; axis < 3; axis++)
         loop->demand.axis_q22[axis] += change.axis_q22[axis];
     body.x_m_s_q13 = fixed_saturate_i16(fixed_shift_right(loop->demand.axis_q22[0], 9));
@@ -267,7 +331,7 @@ static i16 wheel_voltage_v_q9(control_loop *loop, u16 wheel, i16 hub_m_s_q13, i1
     input.limit_v_q9 = limit_v_q9;
     voltage_q9 = wheel_pid_step_v_q9(&loop->pid[wheel], p, &input, &limited);
     if (limited)
-        report_limit(loop, CONTROL_LIMIT_VOLTAGE);
+        report_limit(loop, CONTROL_LIMIT_VOLTAGE, (u16)(wheel + 1U));
     loop->wheel_target_rad_s_q5[wheel] = target_q5;
     return voltage_q9;
 }
@@ -286,7 +350,7 @@ static void drive_wheels(control_loop *loop, const kinematics_velocity *body,
     force.x_n_q6 = fixed_subtract_i16(force.x_n_q6, roller.x_n_q6);
     force.y_n_q6 = fixed_subtract_i16(force.y_n_q6, roller.y_n_q6);
     kinematics_inverse(p, body, hub_m_s_q13);
-    kinematics_wheel_forces(p, &force, force_n_q8);
+    traction_wheel_forces(p, &force, force_n_q8);
     for (i = 0; i < WHEEL_COUNT; i++) {
         const i16 voltage_q9 =
             wheel_voltage_v_q9(loop, i, hub_m_s_q13[i], force_n_q8[i], limit_v_q9);
@@ -297,20 +361,45 @@ static void drive_wheels(control_loop *loop, const kinematics_velocity *body,
     }
 }
 
-/* ---- Commands ---- */
+/* ---- Requests and commands ---- */
 
-static void accept(control_loop *loop, control_mode mode) {
-    loop->telemetry.mode = mode;
-    loop->command_age_ms = 0;
+u16 control_loop_arm(control_loop *loop) {
+    return supervisor_ask(&loop->supervision, SUPERVISOR_ARM);
 }
 
-void control_loop_command_velocity(control_loop *loop, i16 x_mm_s, i16 y_mm_s, i16 omega_mrad_s) {
+u16 control_loop_disarm(control_loop *loop) {
+    return supervisor_ask(&loop->supervision, SUPERVISOR_DISARM);
+}
+
+u16 control_loop_clear_fault(control_loop *loop) {
+    return supervisor_ask(&loop->supervision, SUPERVISOR_CLEAR);
+}
+
+void control_loop_stop(control_loop *loop) {
+    supervisor_ask(&loop->supervision, SUPERVISOR_STOP);
+}
+
+void supervisor_report(control_loop *loop, supervisor_fault fault) {
+    supervisor_raise(&loop->supervision, fault, 0);
+}
+
+static u16 grant(control_loop *loop, control_mode mode) {
+    if (!supervisor_ask(&loop->supervision, SUPERVISOR_COMMAND))
+        return 0;
+    loop->telemetry.mode = mode;
+    loop->command_age_ms = 0;
+    return 1;
+}
+
+u16 control_loop_command_velocity(control_loop *loop, i16 x_mm_s, i16 y_mm_s, i16 omega_mrad_s) {
     kinematics_velocity *command = &loop->command_velocity;
+    if (!grant(loop, CONTROL_MODE_VELOCITY))
+        return 0;
     /* mm/s -> m/s Q13: times 8192 / 1000; mrad/s -> rad/s Q11: times 2048 / 1000 */
     command->x_m_s_q13 = fixed_saturate_i16((i32)x_mm_s * 1024 / 125);
     command->y_m_s_q13 = fixed_saturate_i16((i32)y_mm_s * 1024 / 125);
     command->omega_rad_s_q11 = fixed_saturate_i16((i32)omega_mrad_s * 256 / 125);
-    accept(loop, CONTROL_MODE_VELOCITY);
+    return 1;
 }
 
 static int same_pose_command(const control_loop *loop, const odometry_pose *goal,
@@ -325,6 +414,9 @@ static int same_pose_command(const control_loop *loop, const odometry_pose *goal
 
 trajectory_status control_loop_command_pose(control_loop *loop, const odometry_pose *goal,
                                             const kinematics_velocity *arrival) {
+    const supervisor_state state = loop->supervision.state;
+    if (state != SUPERVISOR_STATE_DRIVE && state != SUPERVISOR_STATE_ARMED)
+        return TRAJECTORY_REFUSED;
     if (loop->telemetry.mode != CONTROL_MODE_POSE || !same_pose_command(loop, goal, arrival)) {
         const trajectory_status status =
             trajectory_plan(&loop->target, loop->settings, goal, arrival);
@@ -333,20 +425,22 @@ trajectory_status control_loop_command_pose(control_loop *loop, const odometry_p
         loop->command_pose = *goal;
         loop->command_arrival = *arrival;
     }
-    accept(loop, CONTROL_MODE_POSE);
+    grant(loop, CONTROL_MODE_POSE);
     return TRAJECTORY_OK;
 }
 
-void control_loop_command_duty(control_loop *loop, const i16 duty_q15[WHEEL_COUNT]) {
+u16 control_loop_command_duty(control_loop *loop, const i16 duty_q15[WHEEL_COUNT]) {
     u16 i;
+    if (!grant(loop, CONTROL_MODE_DUTY))
+        return 0;
     for (i = 0; i < WHEEL_COUNT; i++)
         loop->command_duty_q15[i] = duty_q15[i];
-    accept(loop, CONTROL_MODE_DUTY);
+    return 1;
 }
 
-void control_loop_stop(control_loop *loop) {
-    loop->telemetry.mode = CONTROL_MODE_IDLE;
-    loop->idle_limit = CONTROL_LIMIT_NONE;
+u16 control_loop_outside_pose(control_loop *loop, const odometry_pose *pose, i16 age_ms) {
+    return outside_pose_take(&loop->outside, loop->settings, &loop->telemetry.pose, pose, age_ms,
+                             loop->supervision.state == SUPERVISOR_STATE_DRIVE);
 }
 
 /* ---- Start ---- */
@@ -357,10 +451,13 @@ static void reset_telemetry(control_loop_telemetry *telemetry) {
     u16 i;
     for (i = 0; i < WHEEL_COUNT; i++) {
         telemetry->duty_q15[i] = 0;
+        telemetry->encoder_counts[i] = 0;
+        telemetry->current_ma[i] = 0;
         telemetry->shaft_rad_s_q5[i] = 0;
         telemetry->force_n_q8[i] = 0;
         telemetry->slip_m_s_q13[i] = 0;
     }
+    telemetry->supply_mv = 0;
     telemetry->null_slip_m_s_q13 = 0;
     telemetry->rolling = still;
     telemetry->observed = still;
@@ -368,14 +465,21 @@ static void reset_telemetry(control_loop_telemetry *telemetry) {
     telemetry->target = origin;
     telemetry->mode = CONTROL_MODE_IDLE;
     telemetry->limit = CONTROL_LIMIT_NONE;
+    telemetry->limit_wheel = 0;
+    telemetry->state = SUPERVISOR_STATE_BOOT;
+    telemetry->fault = SUPERVISOR_FAULT_NONE;
+    telemetry->fault_wheel = 0;
 }
 
 void control_loop_init(control_loop *loop, const parameters *p) {
     loop->settings = p;
+    loop->bridges_on = 0;
     loop->counters_known = 0;
     loop->command_age_ms = 0;
+    supervisor_start(&loop->supervision);
     reset_telemetry(&loop->telemetry);
+    start_counting(loop);
     slip_observer_reset(&loop->observer);
-    control_loop_stop(loop);
+    outside_pose_reset(&loop->outside, &loop->telemetry.pose);
     follow_motion(loop);
 }

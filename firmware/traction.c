@@ -40,25 +40,100 @@ kinematics_force traction_inertia_force(const parameters *p, u16 heading,
     return force;
 }
 
-static u16 largest_force_q8(const parameters *p, u16 heading, const traction_change *change) {
-    const kinematics_force force = traction_inertia_force(p, heading, change);
-    i16 wheel_force_q8[WHEEL_COUNT];
-    i32 largest = 0;
-    u16 i;
-    kinematics_wheel_forces(p, &force, wheel_force_q8);
+/* ---- Spreading the load ---- */
+
+typedef struct {
+    i16 force_q8[WHEEL_COUNT];   /* G_i of the header */
+    i16 weight_q13[WHEEL_COUNT]; /* w_i */
+} null_space;
+
+static u16 pair_weight_q13(const null_space *space, u16 i, u16 j) {
+    return (u16)((u16)space->weight_q13[i] + (u16)space->weight_q13[j]);
+}
+
+/* |V_ij| (w_i + w_j), Q6; 0 for a pair that the null space does not reach. */
+static u16 pair_load_q6(const null_space *space, u16 i, u16 j) {
+    i32 load_q21;
+    if (space->weight_q13[i] == 0 || space->weight_q13[j] == 0)
+        return 0;
+    load_q21 = (i32)space->weight_q13[j] * space->force_q8[i] -
+               (i32)space->weight_q13[i] * space->force_q8[j]; /* Q13 * Q8 */
+    return (u16)((load_q21 < 0 ? -load_q21 : load_q21) >> 15);
+}
+
+/* z of the header. */
+static i16 best_null_force_n_q8(const null_space *space) {
+    u16 load_q6 = 0;
+    u16 weight_q13 = 1;
+    i32 opposite_q8 = 0;
+    u16 i, j;
     for (i = 0; i < WHEEL_COUNT; i++) {
-        const i32 size = wheel_force_q8[i] < 0 ? -(i32)wheel_force_q8[i] : (i32)wheel_force_q8[i];
-        if (size > largest)
-            largest = size;
+        for (j = (u16)(i + 1U); j < WHEEL_COUNT; j++) {
+            const u16 pair_q6 = pair_load_q6(space, i, j);
+            const u16 pair_q13 = pair_weight_q13(space, i, j);
+            if ((u32)pair_q6 * weight_q13 > (u32)load_q6 * pair_q13) {
+                load_q6 = pair_q6;
+                weight_q13 = pair_q13;
+                opposite_q8 = -((i32)space->force_q8[i] + space->force_q8[j]);
+            }
+        }
     }
-    return (u16)largest;
+    return fixed_saturate_i16(fixed_divide(opposite_q8, weight_q13, 13));
+}
+
+static void spread(const parameters *p, i16 force_n_q8[WHEEL_COUNT]) {
+    const i16 *null_q13 = PARAMETER_WHEELS(p, null_1_q13);
+    null_space space;
+    i16 null_force_q8;
+    u16 i;
+    for (i = 0; i < WHEEL_COUNT; i++) {
+        space.force_q8[i] = null_q13[i] < 0 ? fixed_subtract_i16(0, force_n_q8[i]) : force_n_q8[i];
+        space.weight_q13[i] = (i16)(null_q13[i] < 0 ? -null_q13[i] : null_q13[i]);
+    }
+    null_force_q8 = best_null_force_n_q8(&space);
+    for (i = 0; i < WHEEL_COUNT; i++) {
+        force_n_q8[i] =
+            fixed_add_i16(force_n_q8[i], fixed_saturate_i16(fixed_shift_right(
+                                             (i32)null_force_q8 * null_q13[i], 13))); /* Q8 * Q13 */
+    }
+}
+
+void traction_wheel_forces(const parameters *p, const kinematics_force *force,
+                           i16 force_n_q8[WHEEL_COUNT]) {
+    kinematics_wheel_forces(p, force, force_n_q8);
+    spread(p, force_n_q8);
+}
+
+/* ---- The limit ---- */
+
+/* The first of the wheels with the largest force, 0..3. */
+static u16 most_loaded(const i16 force_n_q8[WHEEL_COUNT], u16 *largest_q8) {
+    u16 wheel = 0;
+    u16 i;
+    *largest_q8 = 0;
+    for (i = 0; i < WHEEL_COUNT; i++) {
+        const u16 size_q8 = (u16)(force_n_q8[i] < 0 ? -(i32)force_n_q8[i] : (i32)force_n_q8[i]);
+        if (size_q8 > *largest_q8) {
+            *largest_q8 = size_q8;
+            wheel = i;
+        }
+    }
+    return wheel;
 }
 
 u16 traction_limit(const parameters *p, u16 heading, traction_change *change) {
     const u16 limit_q8 = (u16)PARAMETER_GET(p, traction_limit_q8);
-    const u16 largest_q8 = largest_force_q8(p, heading, change);
+    const kinematics_force force = traction_inertia_force(p, heading, change);
+    i16 force_n_q8[WHEEL_COUNT];
+    u16 largest_q8;
     i16 scale_q15;
-    u16 axis;
+    u16 wheel, axis;
+    kinematics_wheel_forces(p, &force, force_n_q8);
+    most_loaded(force_n_q8, &largest_q8);
+    if (largest_q8 <= limit_q8)
+        return 0; /* spreading could only make it less */
+    spread(p, force_n_q8);
+    wheel = most_loaded(force_n_q8, &largest_q8);
     if (largest_q8 <= limit_q8)
         return 0;
     scale_q15 = (i16)fixed_divide((i32)limit_q8, largest_q8, 15); /* Q8 / Q8 * 2^15, below 1 */
@@ -68,5 +143,5 @@ u16 traction_limit(const parameters *p, u16 heading, traction_change *change) {
     for (axis = 0; axis < 3; axis++) {
         change->axis_q22[axis] = fixed_multiply_i32_q15(change->axis_q22[axis], scale_q15);
     }
-    return 1;
+    return (u16)(wheel + 1U);
 }

@@ -9,12 +9,26 @@
  * and the arrival is exact to one unit of the position. A new target in flight starts from the
  * present p and v, without a jump.
  *
- * T is the smallest found for which the limits of speed and acceleration hold. The acceleration is
- * linear in time, so it is largest at an end. The velocity is a quadratic Bezier curve with the
- * control points v0, 3 u - v0 - v1, v1; it stays within the hull of its polygon after one
- * subdivision, which for a move from rest to rest is exact (1.5 u). The search grows T by a quarter
- * until the limits hold, then halves the last step four times: at most 44 trials, within 2 % of the
- * smallest T. It runs in the call of the command, not in the tick.
+ * T must keep the limits of speed, of acceleration and of traction. The acceleration is linear in
+ * time, so it is largest at an end; with a heading that turns on the way, the traction limit is
+ * that of the worst direction, translation and rotation added:
+ *
+ *     |p''| / a_limit <= 1,  |theta''| / alpha_limit <= 1,  |p''| / a_grip + |theta''| / alpha_grip
+ *     <= 1,   a_grip = F_limit / (m max_i |(J+)'_i,xy|),   alpha_grip = F_limit / (Iz max_i |..|)
+ *
+ * The velocity is a quadratic Bezier curve with the control points v0, 3 u - v0 - v1, v1; it stays
+ * within the hull of its polygon after one subdivision, which for a move from rest to rest is exact
+ * (1.5 u).
+ *
+ * A T that surely fits follows from the triangle inequality, D = p1 - p0, s = (v0 + v1) / 2:
+ *
+ *     a T^2 >= (|v1 - v0| + 6 |s|) T + 6 |D|   if   T = (|v1 - v0| + 6 |s|) / a + sqrt(6 |D| / a)
+ *     |u| <= (2 v_limit - max |v|) / 3         if   T = 3 |D| / (2 v_limit - max |v|)
+ *
+ * The command tries this and the time at the mean speed, D s / s^2. From the first tick on, the
+ * plan is shortened by bisection, one trial a tick, until less than 1/64 of it is in question;
+ * every trial starts from the present p and v, so that the limits hold at any time. Worst: two
+ * trials in the call of the command, one in a tick, each of 3 divisions and 5 square roots.
  *
  * Along a velocity, the velocity moves to the commanded one with limited acceleration, along the
  * commanded change; the position integrates it. The traction limit (traction.h) applies to this
@@ -39,22 +53,25 @@ typedef struct {
     traction_change velocity;
     i32 goal_position_q13[3];
     traction_change goal_velocity;
+    i16 grip_acceleration_q10;        /* a_grip, m/s2 */
+    i16 grip_angular_acceleration_q8; /* alpha_grip, rad/s2 */
     u16 ticks_left;
+    u16 trial_ticks; /* by which the plan is to be shortened next; 0: done */
 } trajectory;
 
-typedef enum { TRAJECTORY_OK = 0, TRAJECTORY_TOO_FAR } trajectory_status;
+typedef enum { TRAJECTORY_OK = 0, TRAJECTORY_TOO_FAR, TRAJECTORY_REFUSED } trajectory_status;
 
 /* Target at this pose with this body velocity; nothing planned. */
 void trajectory_start(trajectory *t, const odometry_pose *pose, const kinematics_velocity *body);
 /* Plans the way to this pose with this velocity (world frame) at arrival; theta goes the shorter
- * way round. TRAJECTORY_TOO_FAR, and the plan unchanged, when 60 s do not suffice. The arrival
- * velocity is limited to the limits of speed. */
+ * way round. TRAJECTORY_TOO_FAR, and the plan unchanged, when 60 s do not surely suffice. The
+ * arrival velocity is limited to the limits of speed. */
 trajectory_status trajectory_plan(trajectory *t, const parameters *p, const odometry_pose *goal,
                                   const kinematics_velocity *arrival);
 /* One tick towards the planned pose; after arrival, onwards with the velocity of arrival. */
-void trajectory_step_to_pose(trajectory *t);
-/* One tick along a body velocity; returns 1 when the traction limit cut the acceleration, else 0.
- */
+void trajectory_step_to_pose(trajectory *t, const parameters *p);
+/* One tick along a body velocity; returns the wheel (1..4) for which the traction limit cut the
+ * acceleration, else 0. */
 u16 trajectory_step_velocity(trajectory *t, const parameters *p, const kinematics_velocity *body);
 
 #ifdef __cplusplus

@@ -15,6 +15,11 @@ static i16 wrapped_difference(u16 newer, u16 older) {
     return (i16)(difference > I16_MAX ? (i32)difference - 65536L : (i32)difference);
 }
 
+i16 wheel_speed_counts_since(const wheel_speed *state, u16 count) {
+    const u16 newest = (u16)((state->oldest + WHEEL_SPEED_WINDOW - 1U) % WHEEL_SPEED_WINDOW);
+    return wrapped_difference(count, state->history[newest]);
+}
+
 i16 wheel_speed_step_rad_s_q5(wheel_speed *state, const parameters *p, u16 count) {
     const i16 counts = wrapped_difference(count, state->history[state->oldest]);
     state->history[state->oldest] = count;

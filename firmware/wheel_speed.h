@@ -28,6 +28,8 @@ typedef struct {
 void wheel_speed_reset(wheel_speed *state, u16 count);
 /* Takes the counter of this tick, returns the shaft speed in rad/s Q5. */
 i16 wheel_speed_step_rad_s_q5(wheel_speed *state, const parameters *p, u16 count);
+/* Counts from the newest value taken to this one. */
+i16 wheel_speed_counts_since(const wheel_speed *state, u16 count);
 
 #ifdef __cplusplus
 }

@@ -408,6 +408,9 @@ nb::dict simulate(const Numbers &parameters, const nb::list &effects,
     result["camera_pose"] = to_numpy(std::move(log.camera_pose), {n, 3});
     result["odometry"] = to_numpy(std::move(log.odometry), {n, 3});
     result["limited"] = integers_to_numpy(std::move(log.limited), {n});
+    result["limit_wheel"] = integers_to_numpy(std::move(log.limit_wheel), {n});
+    result["fault"] = integers_to_numpy(std::move(log.fault), {n});
+    result["fault_wheel"] = integers_to_numpy(std::move(log.fault_wheel), {n});
     return result;
 }
 

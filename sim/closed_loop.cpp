@@ -126,6 +126,14 @@ std::uint16_t read_supply(void *context) {
     return static_cast<const Robot *>(context)->supply_mv();
 }
 
+void read_currents(void *context, std::int16_t current_ma[4]) {
+    const double *current_a = static_cast<const Robot *>(context)->internals().current_a;
+    for (int i = 0; i < 4; ++i) {
+        current_ma[i] =
+            static_cast<std::int16_t>(std::clamp(std::lround(current_a[i] * 1e3), -32768L, 32767L));
+    }
+}
+
 i16 to_i16(double value, const char *what) {
     const double rounded = std::round(value);
     if (!(rounded >= -32768.0 && rounded <= 32767.0)) {
@@ -165,7 +173,7 @@ void give(control_loop *loop, const Command &command) {
     } else if (command.kind == Command::kPose) {
         const odometry_pose goal = to_pose(v);
         const kinematics_velocity arrival = to_velocity(v + 3);
-        if (control_loop_command_pose(loop, &goal, &arrival) != TRAJECTORY_OK) {
+        if (control_loop_command_pose(loop, &goal, &arrival) == TRAJECTORY_TOO_FAR) {
             throw std::invalid_argument("a commanded pose cannot be reached within 60 s");
         }
     } else if (command.kind == Command::kDuty) {
@@ -204,6 +212,9 @@ void record(ClosedLoopLog &log, double time_s, const Robot &robot, const std::ui
                                 telemetry.pose.theta_mrad_q13 * mm_q13};
     append(log.odometry, believed, 3);
     log.limited.push_back(static_cast<std::int32_t>(telemetry.limit));
+    log.limit_wheel.push_back(telemetry.limit_wheel);
+    log.fault.push_back(static_cast<std::int32_t>(telemetry.fault));
+    log.fault_wheel.push_back(telemetry.fault_wheel);
 }
 
 bool due(const Impulse &impulse, double time_s, double x_before, double x_now) {
@@ -241,9 +252,12 @@ ClosedLoopLog run_closed_loop(const std::vector<double> &values,
     hal.read_encoder_counts = read_counts;
     hal.write_duty = write_duty;
     hal.read_supply_mv = read_supply;
+    hal.read_currents_ma = read_currents;
     hal_host_attach(&hal);
     control_loop loop;
     control_loop_init(&loop, &settings);
+    control_loop_tick(&loop); /* BOOT -> IDLE */
+    control_loop_arm(&loop);
 
     ClosedLoopLog log;
     std::vector<bool> given(impulses.size(), false);

@@ -34,7 +34,7 @@ struct ClosedLoopLog {
     std::vector<double> time_s, duty, pose, velocity, wheel_speed_rad_s, current_a, slip_m_s;
     std::vector<double> drive_force_n, supply_v, gyro_rad_s, camera_pose, odometry;
     std::vector<std::uint16_t> encoder_counts;
-    std::vector<std::int32_t> limited;
+    std::vector<std::int32_t> limited, limit_wheel, fault, fault_wheel; /* control_loop.h */
 };
 
 /* `values`: parameter set of RobotPlant; `firmware`: raw value per parameter id, PARAMETER_COUNT of

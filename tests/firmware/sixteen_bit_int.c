@@ -3,8 +3,8 @@
  *
  * Integer promotion differs between the two, and a product that lacks its widening cast differs
  * with it. On the PC it prints the checksum; on the 16-bit machine (AVR, run in a simulator) it
- * sends it to the serial port. The inputs are pseudo-random counter steps and supplies, a velocity
- * and a pose command.
+ * sends it to the serial port. The inputs are pseudo-random counter steps, supplies, currents and
+ * faults, a velocity and a pose command, and outside poses.
  */
 #include "firmware/control_loop.h"
 #include "hal/hal.h"
@@ -34,6 +34,24 @@ u16 hal_read_supply_mv(void) {
     return (u16)(20000U + next_random() % 8000U);
 }
 
+u16 hal_read_encoder_errors(void) {
+    return next_random() % 64U == 0 ? 1 : 0;
+}
+
+void hal_read_currents_ma(i16 current_ma[4]) {
+    u16 i;
+    for (i = 0; i < WHEEL_COUNT; i++)
+        current_ma[i] = (i16)(next_random() >> 4);
+}
+
+void hal_enable_bridges(u16 on) {
+    mix(on);
+}
+
+u16 hal_read_bridge_faults(void) {
+    return next_random() % 128U == 0 ? 2 : 0;
+}
+
 void hal_write_duty(const i16 duty_q15[4]) {
     u16 i;
     for (i = 0; i < WHEEL_COUNT; i++)
@@ -49,6 +67,10 @@ static u32 run(void) {
     parameters_set_defaults(&p);
     control_loop_init(&loop, &p);
     for (tick = 0; tick < 600; tick++) {
+        if (!control_loop_arm(&loop))
+            control_loop_clear_fault(&loop);
+        if (tick % 30 == 0)
+            control_loop_outside_pose(&loop, &goal, (i16)(tick % 250));
         if (tick >= 300) {
             control_loop_command_pose(&loop, &goal, &arrival);
         } else if (tick % 50 == 0) {
@@ -59,6 +81,8 @@ static u32 run(void) {
         mix((u32)loop.telemetry.pose.theta_mrad_q13);
         mix((u32)loop.target.position_q13[1]);
         mix((u16)loop.telemetry.slip_m_s_q13[2]);
+        mix((u16)(loop.telemetry.state * 256 + loop.telemetry.fault * 16) +
+            loop.telemetry.limit_wheel);
     }
     return checksum;
 }

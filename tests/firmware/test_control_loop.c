@@ -22,6 +22,8 @@ static void start(i16 slip_compensation) {
     reference_plant_reset(&plant);
     reference_plant_attach(&plant);
     control_loop_init(&loop, &p);
+    control_loop_tick(&loop); /* ends BOOT */
+    TEST_ASSERT_TRUE(control_loop_arm(&loop));
 }
 
 void setUp(void) {
@@ -240,11 +242,12 @@ static void command_that_is_not_repeated_dies_after_200_ms(void) {
     TEST_ASSERT_EQUAL(CONTROL_MODE_VELOCITY, loop.telemetry.mode);
     TEST_ASSERT_TRUE(largest_duty() > 0.01);
     reference_plant_tick(&plant, &loop);
-    TEST_ASSERT_EQUAL(CONTROL_MODE_IDLE, loop.telemetry.mode);
-    TEST_ASSERT_EQUAL(CONTROL_LIMIT_TIMEOUT, loop.telemetry.limit);
+    TEST_ASSERT_EQUAL(SUPERVISOR_STATE_ARMED, loop.telemetry.state);
+    TEST_ASSERT_EQUAL(SUPERVISOR_FAULT_COMMAND_TIMEOUT, loop.telemetry.fault);
     TEST_ASSERT_EQUAL_DOUBLE(0.0, largest_duty());
     drive(1000, 0, 0, 100);
     TEST_ASSERT_TRUE(largest_duty() > 0.01);
+    TEST_ASSERT_EQUAL(SUPERVISOR_FAULT_NONE, loop.telemetry.fault);
 }
 
 static void stop_is_zero_duty_in_the_next_tick(void) {
@@ -252,7 +255,8 @@ static void stop_is_zero_duty_in_the_next_tick(void) {
     control_loop_stop(&loop);
     reference_plant_tick(&plant, &loop);
     TEST_ASSERT_EQUAL_DOUBLE(0.0, largest_duty());
-    TEST_ASSERT_EQUAL(CONTROL_LIMIT_NONE, loop.telemetry.limit);
+    TEST_ASSERT_EQUAL(SUPERVISOR_STATE_ARMED, loop.telemetry.state);
+    TEST_ASSERT_EQUAL(SUPERVISOR_FAULT_NONE, loop.telemetry.fault);
 }
 
 static void low_supply_is_zero_duty_in_the_same_tick(void) {
@@ -263,7 +267,7 @@ static void low_supply_is_zero_duty_in_the_same_tick(void) {
         plant.supply_v = supplies_v[k];
         reference_plant_tick(&plant, &loop);
         TEST_ASSERT_EQUAL_DOUBLE(0.0, largest_duty());
-        TEST_ASSERT_EQUAL(CONTROL_LIMIT_SUPPLY, loop.telemetry.limit);
+        TEST_ASSERT_EQUAL(SUPERVISOR_FAULT_UNDER_VOLTAGE, loop.telemetry.fault);
     }
 }
 
@@ -305,6 +309,8 @@ static void garbage_from_outside_keeps_the_duty_within_its_limit(void) {
             plant.state[PLANT_ANGLE + i] = reference_random(&seed) % 100000u;
         plant.supply_v = 13.0 + reference_random(&seed) % 50u;
         if (n % 50 == 0) {
+            control_loop_clear_fault(&loop);
+            control_loop_arm(&loop);
             control_loop_command_velocity(&loop, (i16)reference_random(&seed),
                                           (i16)reference_random(&seed),
                                           (i16)reference_random(&seed));
@@ -335,6 +341,10 @@ static void any_allowed_parameters_keep_the_duty_within_its_limit(void) {
         parameters_set(&p, id, minimum[id] + (i32)(reference_random(&seed) % span));
         for (int i = 0; i < 4; i++)
             plant.state[PLANT_ANGLE + i] = reference_random(&seed) % 999u;
+        control_loop_clear_fault(&loop);
+        control_loop_arm(&loop);
+        if (n % 5 == 0)
+            control_loop_outside_pose(&loop, &goal, (i16)(n % 250));
         if (n % 7 == 0)
             control_loop_command_pose(&loop, &goal, &still);
         if (n % 7 == 3)

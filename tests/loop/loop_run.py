@@ -13,7 +13,8 @@ VALUES = MODEL.values
 PARAMETERS = MODEL.to_core()[0]
 FIRMWARE = firmware_parameters(VALUES)
 
-LIMIT_NONE, LIMIT_TRACTION, LIMIT_VOLTAGE, LIMIT_SUPPLY = 0, 1, 2, 4
+LIMIT_NONE, LIMIT_TRACTION, LIMIT_VOLTAGE = 0, 1, 2
+FAULT_NONE, FAULT_UNDER_VOLTAGE = 0, 2
 CONTROLLERS = {"plain": 0, "slip": 1}
 RIM_PER_SHAFT_M = VALUES["robot.wheel_radius_m"] / VALUES["motor.gear_ratio"]
 RAD_PER_COUNT = 2 * np.pi / VALUES["encoder.counts_per_rev"]

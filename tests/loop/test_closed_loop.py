@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from loop_run import (
     CONTROLLERS,
+    FAULT_UNDER_VOLTAGE,
     LIMIT_NONE,
-    LIMIT_SUPPLY,
     LIMIT_TRACTION,
     LIMIT_VOLTAGE,
     RAD_PER_COUNT,
@@ -186,7 +186,7 @@ def test_stop_takes_the_duty_away_in_the_same_tick():
 
 def test_supply_below_its_minimum_takes_the_duty_away():
     truth = run([command("duty", 0.3, 0.3, 0.3, 0.3)], 0.2, parameters={"motor.supply_v": 11.0})
-    assert set(truth["limited"]) == {LIMIT_SUPPLY}
+    assert set(truth["fault"]) == {FAULT_UNDER_VOLTAGE}
     assert not truth["duty"].any()
 
 

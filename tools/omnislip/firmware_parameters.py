@@ -15,11 +15,15 @@ Gains: seen at the rim, a wheel that drives its share of the robot obeys ``M v' 
 
     ``Kp = (2 p M - B) / A``,  ``Ki = p^2 M / A``,  ``p = max(10 rad/s, B / M)``
 
-A lighter axis (y, rotation, a wheel that slides) is faster by the ratio of the masses. At 10 rad/s
+but no faster than ``Kp`` = 1 V s/rad allows: a motor that weak is at full voltage anyway. A lighter
+axis (y, rotation, a wheel that slides) is faster by the ratio of the masses. At 10 rad/s
 the fastest, the nominal sliding wheel with M = J0 (n/R)^2, keeps 60 degrees of phase margin with
 the 2.5 ms of delay of speed window and hold. The plant is of first order, so the derivative gain
 is 0. The position loops run at 0.4 p and 0.5 p. Demanded accelerations use half of the grip,
 corrections up to 0.7 of it.
+
+Faults: no wheel load takes four times the current of the full grip for long; an unloaded shaft
+cannot turn faster than its supply, with half as much again for a push from outside.
 """
 
 from __future__ import annotations
@@ -29,11 +33,15 @@ from collections.abc import Mapping, Sequence
 
 TICK_S = 0.001
 SPEED_POLE_RAD_S = 10.0
+LARGEST_SPEED_GAIN_V_S_RAD = 32767 / 32768
 SPEED_LIMIT_M_S = 2.5
 OMEGA_LIMIT_RAD_S = 10.0
 ACCELERATION_GRIP_SHARE = 0.5
 TRACTION_GRIP_SHARE = 0.7
 SLIP_SATURATION = 0.96
+OUTSIDE_POSE_GAIN = 0.25
+CURRENT_LIMIT_GRIPS = 4.0
+SHAFT_SPEED_LIMIT_NO_LOADS = 1.5
 LOWEST_SUPPLY_V = 8.01
 
 Matrix = list[list[float]]
@@ -123,6 +131,7 @@ def _motor(values: Mapping[str, float]) -> dict[str, float]:
         "drag_q14": per_rim_1_m * drag_nm_s,
         "momentum_per_tick_q10": per_rim_1_m * values["motor.inertia_kg_m2"] / TICK_S,
         "coulomb_force_q8": 0.0,
+        "current_per_volt_q10": 1.0 / values["motor.resistance_ohm"],
     }
 
 
@@ -156,13 +165,18 @@ def _gains(values: Mapping[str, float], angles_deg: Sequence[float]) -> dict[str
     weakest = min(sum(row[axis] ** 2 for row in j) for axis in (0, 1))
     mass_kg = values["robot.mass_kg"] / weakest + values["motor.inertia_kg_m2"] / rim_m**2
     drag_n_s_m = motor["drag_q14"] / rim_m
-    pole_1_s = max(SPEED_POLE_RAD_S, drag_n_s_m / mass_kg)
+    largest_volt_s_m = LARGEST_SPEED_GAIN_V_S_RAD / rim_m
+    pole_1_s = min(
+        max(SPEED_POLE_RAD_S, drag_n_s_m / mass_kg),
+        (drag_n_s_m + motor["force_per_volt_q10"] * largest_volt_s_m) / (2.0 * mass_kg),
+    )
     volt_s_m = (2.0 * pole_1_s * mass_kg - drag_n_s_m) / motor["force_per_volt_q10"]
     volt_m = pole_1_s**2 * mass_kg / motor["force_per_volt_q10"]
     return {
         "speed_gain_q15": volt_s_m * rim_m,
         "speed_integral_q22": volt_m * rim_m * TICK_S,
         "speed_derivative_q12": 0.0,
+        "outside_pose_gain_q15": OUTSIDE_POSE_GAIN,
         "position_gain_q20": 0.4 * pole_1_s * TICK_S,
         "heading_gain_q20": 0.5 * pole_1_s * TICK_S,
     }
@@ -175,12 +189,10 @@ def _limits(values: Mapping[str, float], angles_deg: Sequence[float]) -> dict[st
     wheel_share = max(abs(entry) for row in forward[:2] for entry in row)
     turning_share = max(abs(entry) for entry in forward[2])
     half_grip_n = ACCELERATION_GRIP_SHARE * grip_n
-    rim_limit_m_s = 0.6 * (
-        values["motor.supply_v"]
-        / values["motor.back_emf_constant_v_s_rad"]
-        * values["robot.wheel_radius_m"]
-        / values["motor.gear_ratio"]
-    )
+    rim_m = values["robot.wheel_radius_m"] / values["motor.gear_ratio"]
+    no_load_rad_s = values["motor.supply_v"] / values["motor.back_emf_constant_v_s_rad"]
+    rim_limit_m_s = 0.6 * no_load_rad_s * rim_m
+    grip_a = grip_n * rim_m / values["motor.torque_constant_nm_a"]
     return {
         "speed_limit_q13": min(SPEED_LIMIT_M_S, rim_limit_m_s),
         "omega_limit_q11": min(OMEGA_LIMIT_RAD_S, rim_limit_m_s / distance_m),
@@ -190,6 +202,10 @@ def _limits(values: Mapping[str, float], angles_deg: Sequence[float]) -> dict[st
         "traction_limit_q8": TRACTION_GRIP_SHARE * grip_n,
         "duty_limit_q15": 32767.0 / 32768.0,
         "supply_minimum_q9": max(LOWEST_SUPPLY_V, 0.5 * values["motor.supply_v"]),
+        "current_limit_ma": min(1000.0 * CURRENT_LIMIT_GRIPS * grip_a, 32767.0),
+        "encoder_step_limit": SHAFT_SPEED_LIMIT_NO_LOADS
+        * no_load_rad_s
+        / _geometry(values, angles_deg)["shaft_speed_per_count_q12"],
         "command_timeout_ms": 200.0,
     }
 
@@ -204,6 +220,7 @@ _KEYS = {
     "volt_per_force": "motor.torque_constant_nm_a, motor.resistance_ohm",
     "drag": "motor.back_emf_constant_v_s_rad, motor.viscous_friction_nm_s",
     "momentum_per_tick": "motor.inertia_kg_m2",
+    "current_per_volt": "motor.resistance_ohm",
     "grip_inverse": "contact.mu_drive, robot.mass_kg",
     "slip_per_tangent": "contact.slip_stiffness_s_m",
     "roller_grip": "contact.mu_roller, robot.mass_kg",
@@ -219,6 +236,7 @@ _KEYS = {
     "angular_acceleration_limit": "robot.inertia_kg_m2",
     "traction_limit": "contact.mu_drive, robot.mass_kg",
     "supply_minimum": "motor.supply_v",
+    "encoder_step_limit": "encoder.counts_per_rev, motor.supply_v",
 }
 _POSITIVE_KEYS = (
     "robot.mass_kg",
