@@ -32,10 +32,10 @@ static u16 lasting_ms(u16 before_ms, int holds) {
 }
 
 static u16 is_stalled(const parameters *p, const wheel_monitor_input *input) {
-    /* V Q9 * A/V Q10 = Q19 -> Q10, at most 32 A, as measured; half of it in mA: 500 / 2^10 */
+    /* V Q9 * A/V Q10 = Q19 -> Q10, at most 32 A, as measured; 3/4 of it in mA: 750 / 2^10 */
     const i16 stall_current_a_q10 = fixed_saturate_i16(fixed_shift_right(
         magnitude(input->voltage_v_q9) * PARAMETER_GET(p, current_per_volt_q10), 9));
-    return magnitude(input->current_ma) >= (i32)stall_current_a_q10 * 125 / 256;
+    return magnitude(input->current_ma) >= (i32)stall_current_a_q10 * 375 / 512;
 }
 
 static supervisor_fault impossible_force(wheel_monitor *monitor, const parameters *p,
@@ -77,7 +77,9 @@ supervisor_fault wheel_monitor_step(wheel_monitor *monitor, const parameters *p,
         monitor->glitch_score = 0;
         return SUPERVISOR_FAULT_ENCODER_STEP;
     }
-    if (fixed_shift_right(monitor->current_ma_q6, 6) > PARAMETER_GET(p, current_limit_ma))
-        return SUPERVISOR_FAULT_OVER_CURRENT;
-    return force_fault;
+    if (force_fault != SUPERVISOR_FAULT_NONE || monitor->standing_ms > 0)
+        return force_fault; /* a blocked wheel is not called by its current */
+    return fixed_shift_right(monitor->current_ma_q6, 6) > PARAMETER_GET(p, current_limit_ma)
+               ? SUPERVISOR_FAULT_OVER_CURRENT
+               : SUPERVISOR_FAULT_NONE;
 }

@@ -8,16 +8,17 @@
  * freely and an encoder that says so: twice, since the believed grip may be wrong and wheel loads
  * shift. What is wrong then shows in how the counter moves:
  *
- *     it moves against the voltage      wired backwards: F = 2 A u - f in truth
+ *     it moves against the voltage      wired backwards: F = 2 A u - f in truth; or a motor without
+ *                                       contact that the floor drags along
  *     it stands, current u / Ra         the wheel is blocked
- *     it stands, much less current      the wheel turns or the motor has no contact: the counter
- *                                       tells nothing. Where no current is measured, a blocked
- *                                       wheel shows as this.
+ *     it stands, less than 3/4 of that  the wheel turns: A u > 2 mu N, and sliding takes less than
+ *                                       half of u / Ra. Where no current is measured, a blocked
+ *                                       wheel shows as this, a stuck encoder.
  *     it moves along                    a weak motor, a wrong parameter: no reason to stop
  *
  * Independent of the force: a step in one tick that no supply can turn; transitions that the
- * decoder calls impossible, three within 64 ms; the mean current of 64 ms above its limit (short
- * peaks are the business of the bridge's own protection).
+ * decoder calls impossible, three within 64 ms; the mean current of 64 ms above its limit, unless
+ * the wheel stands (short peaks are the business of the bridge's own protection).
  */
 #ifndef FIRMWARE_WHEEL_MONITOR_H
 #define FIRMWARE_WHEEL_MONITOR_H

@@ -11,6 +11,8 @@
 #ifndef TESTS_FIRMWARE_REFERENCE_PLANT_H
 #define TESTS_FIRMWARE_REFERENCE_PLANT_H
 
+#include <stdint.h>
+
 #include "firmware/control_loop.h"
 
 enum {
@@ -30,9 +32,21 @@ typedef struct {
     double duty[4];
     double supply_v;
     double mu_drive;
+    int bridges_on; /* off: motors shorted */
+    /* What can be broken; by default all is well. */
+    double encoder_gain[4];     /* 1; 0 stuck, -1 reversed, from now on */
+    double seen_angle_rad[4];   /* by the encoder */
+    double angle_before_rad[4]; /* of the shaft, when the encoder was read last */
+    double torque_gain[4];      /* 1; 0 no contact */
+    int shaft_blocked[4];
+    double extra_current_a[4]; /* measured beside that of the motor */
+    uint16_t encoder_errors;   /* until read */
+    uint16_t bridge_faults;
 } reference_plant;
 
 void reference_plant_reset(reference_plant *plant);
+/* Attaches the plant, resets the loop to these parameters, passes BOOT and arms. */
+void reference_plant_start(reference_plant *plant, control_loop *loop, const parameters *p);
 /* One tick of the firmware, then 1 ms of the plant. */
 void reference_plant_tick(reference_plant *plant, control_loop *loop);
 /* Makes this plant the one behind the HAL. */

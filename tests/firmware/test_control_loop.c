@@ -20,10 +20,7 @@ static void start(i16 slip_compensation) {
     parameters_set_defaults(&p);
     parameters_set(&p, PARAMETER_ID_slip_compensation, slip_compensation);
     reference_plant_reset(&plant);
-    reference_plant_attach(&plant);
-    control_loop_init(&loop, &p);
-    control_loop_tick(&loop); /* ends BOOT */
-    TEST_ASSERT_TRUE(control_loop_arm(&loop));
+    reference_plant_start(&plant, &loop, &p);
 }
 
 void setUp(void) {
@@ -304,6 +301,7 @@ static void supply_voltage_does_not_change_the_motion(void) {
  * sees it). */
 static void garbage_from_outside_keeps_the_duty_within_its_limit(void) {
     uint64_t seed = 17;
+    parameters_set(&p, PARAMETER_ID_encoder_step_limit, 32767); /* else most ticks are faults */
     for (int n = 0; n < 20000; n++) {
         for (int i = 0; i < 4; i++)
             plant.state[PLANT_ANGLE + i] = reference_random(&seed) % 100000u;
@@ -339,6 +337,7 @@ static void any_allowed_parameters_keep_the_duty_within_its_limit(void) {
         const u16 id = (u16)(reference_random(&seed) % PARAMETER_COUNT);
         const unsigned span = (unsigned)(maximum[id] - minimum[id]) + 1u;
         parameters_set(&p, id, minimum[id] + (i32)(reference_random(&seed) % span));
+        parameters_set(&p, PARAMETER_ID_encoder_step_limit, 32767);
         for (int i = 0; i < 4; i++)
             plant.state[PLANT_ANGLE + i] = reference_random(&seed) % 999u;
         control_loop_clear_fault(&loop);
