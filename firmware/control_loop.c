@@ -127,7 +127,7 @@ static void locate(control_loop *loop, const measurement *now) {
     slip_observer_step(&loop->observer, loop->settings, now->voltage_v_q9,
                        telemetry->shaft_rad_s_q5, now->rim_m_s_q13);
     for (i = 0; i < WHEEL_COUNT; i++) {
-        telemetry->force_n_q8[i] = slip_observer_force_n_q8(&loop->observer, i);
+        telemetry->force_n_q8[i] = loop->observer.force_n_q8[i];
         telemetry->slip_m_s_q13[i] = loop->observer.slip_m_s_q13[i];
     }
     telemetry->null_slip_m_s_q13 = kinematics_null_slip_m_s_q13(loop->settings, now->rim_m_s_q13);

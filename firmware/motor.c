@@ -17,6 +17,13 @@ i32 motor_steady_force_n_q19(const parameters *p, i16 voltage_v_q9, i16 shaft_ra
     return fixed_subtract_i32(drive_q19, losses_n_q19(p, shaft_rad_s_q5));
 }
 
+i16 motor_dry_slack_n_q8(const parameters *p, i16 shaft_rad_s_q5) {
+    const i16 sign_q7 = fixed_clamp_i16(shaft_rad_s_q5, COULOMB_RAMP_RAD_S_Q5);
+    const i16 slack_q7 = (i16)(COULOMB_RAMP_RAD_S_Q5 - (sign_q7 < 0 ? -sign_q7 : sign_q7));
+    /* Q8 * Q7 = Q15 -> Q8 */
+    return (i16)fixed_shift_right((i32)PARAMETER_GET(p, coulomb_force_q8) * slack_q7, 7);
+}
+
 i32 motor_inertia_force_n_q15(const parameters *p, i16 shaft_change_rad_s_q5) {
     return (i32)PARAMETER_GET(p, momentum_per_tick_q10) * shaft_change_rad_s_q5; /* Q10 * Q5 */
 }

@@ -5,7 +5,8 @@
  *     A = (n/R) k2 / Ra,  B = (n/R) (k2 k3 / Ra + b0),  C = (n/R) J0,  Fc = (n/R) Tc
  *
  * f force at the rim (N), u voltage (V), W shaft speed (rad/s). sg is a ramp through zero of +-4
- * rad/s, so that the Coulomb term does not chatter at rest. Results saturate.
+ * rad/s, so that the Coulomb term does not chatter at rest. On the ramp dry friction may take any
+ * value that it takes between rest and motion: Fc sg(W) +- Fc (1 - |sg(W)|). Results saturate.
  */
 #ifndef FIRMWARE_MOTOR_H
 #define FIRMWARE_MOTOR_H
@@ -18,6 +19,8 @@ extern "C" {
 
 /* A u - B W - Fc sg(W): the force without the share that accelerates the shaft. */
 i32 motor_steady_force_n_q19(const parameters *p, i16 voltage_v_q9, i16 shaft_rad_s_q5);
+/* Fc (1 - |sg(W)|): by so much the dry friction may differ from Fc sg(W). */
+i16 motor_dry_slack_n_q8(const parameters *p, i16 shaft_rad_s_q5);
 /* C dW/dt for a speed change of one tick. */
 i32 motor_inertia_force_n_q15(const parameters *p, i16 shaft_change_rad_s_q5);
 /* The voltage u at which the rim exerts the force f. */

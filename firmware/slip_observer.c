@@ -7,7 +7,8 @@
 void slip_observer_reset(slip_observer *observer) {
     u16 i;
     for (i = 0; i < WHEEL_COUNT; i++) {
-        observer->force_n_q19[i] = 0;
+        observer->balance_n_q19[i] = 0;
+        observer->force_n_q8[i] = 0;
         observer->shaft_before_rad_s_q5[i] = 0;
         observer->slip_m_s_q13[i] = 0;
     }
@@ -24,8 +25,11 @@ kinematics_velocity slip_observer_velocity(const slip_observer *observer) {
     return velocity;
 }
 
-i16 slip_observer_force_n_q8(const slip_observer *observer, u16 wheel) {
-    return fixed_saturate_i16(fixed_shift_right(observer->force_n_q19[wheel], 11));
+/* The value, closer to zero by the slack. */
+static i16 without_slack(i16 value, i16 slack) {
+    if (value > slack)
+        return (i16)(value - slack);
+    return value < -slack ? (i16)(value + slack) : 0;
 }
 
 /* Step 1 of the header. */
@@ -36,10 +40,13 @@ static void update_force(slip_observer *observer, const parameters *p, u16 wheel
     const i32 inertia_q19 = fixed_shift_left(motor_inertia_force_n_q15(p, change_q5), 4);
     i32 error_q19 = motor_steady_force_n_q19(p, voltage_v_q9, shaft_rad_s_q5);
     error_q19 = fixed_subtract_i32(error_q19, inertia_q19);
-    error_q19 = fixed_subtract_i32(error_q19, observer->force_n_q19[wheel]);
-    observer->force_n_q19[wheel] =
-        fixed_add_i32(observer->force_n_q19[wheel],
+    error_q19 = fixed_subtract_i32(error_q19, observer->balance_n_q19[wheel]);
+    observer->balance_n_q19[wheel] =
+        fixed_add_i32(observer->balance_n_q19[wheel],
                       fixed_multiply_i32_q15(error_q19, PARAMETER_GET(p, force_filter_q15)));
+    observer->force_n_q8[wheel] = without_slack(
+        fixed_saturate_i16(fixed_shift_right(observer->balance_n_q19[wheel], 11)), /* Q19 -> Q8 */
+        motor_dry_slack_n_q8(p, shaft_rad_s_q5));
     observer->shaft_before_rad_s_q5[wheel] = shaft_rad_s_q5;
 }
 
@@ -56,12 +63,8 @@ static void integrate(i32 *state, i32 change) {
 static void predict(slip_observer *observer, const parameters *p, const kinematics_velocity *v) {
     const kinematics_force roller = contact_roller_force(p, v);
     const i16 per_force_q25 = PARAMETER_GET(p, velocity_per_force_q25);
-    i16 wheel_force_n_q8[WHEEL_COUNT];
     kinematics_force drive;
-    u16 i;
-    for (i = 0; i < WHEEL_COUNT; i++)
-        wheel_force_n_q8[i] = slip_observer_force_n_q8(observer, i);
-    kinematics_body_force(p, wheel_force_n_q8, &drive);
+    kinematics_body_force(p, observer->force_n_q8, &drive);
     /* Q6 * Q25 = Q31 -> Q22 */
     integrate(
         &observer->x_m_s_q22,
@@ -94,8 +97,7 @@ static void correct(slip_observer *observer, const parameters *p, const kinemati
     u16 i;
     kinematics_inverse(p, v, expected_m_s_q13);
     for (i = 0; i < WHEEL_COUNT; i++) {
-        const contact_slip contact =
-            contact_slip_from_force(p, slip_observer_force_n_q8(observer, i));
+        const contact_slip contact = contact_slip_from_force(p, observer->force_n_q8[i]);
         const i16 hub_q13 = fixed_subtract_i16(rim_m_s_q13[i], contact.slip_m_s_q13);
         const i16 error_q13 = fixed_subtract_i16(hub_q13, expected_m_s_q13[i]);
         /* Q13 * Q15 = Q28 -> Q17 */

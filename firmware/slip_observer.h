@@ -8,6 +8,8 @@
  *        F += a (A u - B W - Fc sg(W) - F) - a C (W - W_before) / dt
  *
  *    The speed enters as a difference times a: encoder steps are filtered, not differentiated.
+ *    Near rest dry friction may carry some of this (motor.h): as much as it may is taken off, so
+ *    that a voltage which only holds against friction is not taken for slip.
  *
  * 2. Slip s_i(F_i) of each wheel and its trust c_i in (0, 1], by the inverse of the friction law
  *    (contact.h).
@@ -45,7 +47,8 @@ extern "C" {
 #endif
 
 typedef struct {
-    i32 force_n_q19[WHEEL_COUNT];
+    i32 balance_n_q19[WHEEL_COUNT]; /* F, with what dry friction may carry near rest */
+    i16 force_n_q8[WHEEL_COUNT];    /* of the wheel on the body, drive direction */
     i16 shaft_before_rad_s_q5[WHEEL_COUNT];
     i16 slip_m_s_q13[WHEEL_COUNT];
     i32 x_m_s_q22;
@@ -59,7 +62,6 @@ void slip_observer_step(slip_observer *observer, const parameters *p,
                         const i16 rim_m_s_q13[WHEEL_COUNT]);
 
 kinematics_velocity slip_observer_velocity(const slip_observer *observer);
-i16 slip_observer_force_n_q8(const slip_observer *observer, u16 wheel);
 
 #ifdef __cplusplus
 }

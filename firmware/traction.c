@@ -129,11 +129,11 @@ u16 traction_limit(const parameters *p, u16 heading, traction_change *change) {
     i16 scale_q15;
     u16 wheel, axis;
     kinematics_wheel_forces(p, &force, force_n_q8);
-    most_loaded(force_n_q8, &largest_q8);
+    wheel = most_loaded(force_n_q8, &largest_q8);
     if (largest_q8 <= limit_q8)
         return 0; /* spreading could only make it less */
     spread(p, force_n_q8);
-    wheel = most_loaded(force_n_q8, &largest_q8);
+    most_loaded(force_n_q8, &largest_q8);
     if (largest_q8 <= limit_q8)
         return 0;
     scale_q15 = (i16)fixed_divide((i32)limit_q8, largest_q8, 15); /* Q8 / Q8 * 2^15, below 1 */

@@ -35,7 +35,8 @@ kinematics_force traction_inertia_force(const parameters *p, u16 heading,
 /* Forces of the wheels that push the body with this force, spread as evenly as possible. */
 void traction_wheel_forces(const parameters *p, const kinematics_force *force,
                            i16 force_n_q8[WHEEL_COUNT]);
-/* Scales the change of one tick; returns the number (1..4) of the wheel that demands it, or 0. */
+/* Scales the change of one tick; returns the number (1..4) of the wheel that the
+ * demand loads most before it is spread, or 0 when it fits. */
 u16 traction_limit(const parameters *p, u16 heading, traction_change *change);
 
 #ifdef __cplusplus

@@ -33,7 +33,8 @@ static void derivative(const reference_plant *plant, const double *s, double *d)
         const double slip = radius_m * s[i] / gear - (-sn * vx + c * vy + distance_m * w);
         const double drive_n = friction(plant->mu_drive, slip);
         const double roller_n = -friction(mu_roller, c * vx + sn * vy);
-        const double torque_nm = torque_constant * current_a(plant, s, i);
+        const double torque_nm =
+            torque_constant * current_a(plant, s, i) - plant->coulomb_nm * tanh(s[i] / 0.5);
         d[i] = (torque_nm - viscous_nm_s * s[i] - radius_m / gear * drive_n) / shaft_inertia_kg_m2;
         if (plant->shaft_blocked[i])
             d[i] = 0.0;

@@ -32,7 +32,8 @@ typedef struct {
     double duty[4];
     double supply_v;
     double mu_drive;
-    int bridges_on; /* off: motors shorted */
+    double coulomb_nm; /* dry friction of each shaft, -T tanh(W / 0.5 rad/s) */
+    int bridges_on;    /* off: motors shorted */
     /* What can be broken; by default all is well. */
     double encoder_gain[4];     /* 1; 0 stuck, -1 reversed, from now on */
     double seen_angle_rad[4];   /* by the encoder */

@@ -130,6 +130,29 @@ static void no_limit_cycle_at_standstill(void) {
     TEST_ASSERT_DOUBLE_WITHIN(0.5, before.state[PLANT_Y] * 1000.0, true_y_mm());
 }
 
+/* 3.75 N of Coulomb friction at each rim. Known, it holds the robot still. Unknown, the observer
+ * takes the voltage that holds against it for slip, and the robot creeps, but not faster than
+ * 1 mm/s. */
+static void no_limit_cycle_with_dry_friction(void) {
+    static const i16 known_q8[] = {0, 960};
+    static const double range_mm[] = {3.0, 0.1};
+    for (int k = 0; k < 2; k++) {
+        double lowest_mm, highest_mm;
+        start(1);
+        plant.coulomb_nm = 3.75 / 240.0;
+        parameters_set(&p, PARAMETER_ID_coulomb_force_q8, known_q8[k]);
+        drive(800, -400, 2000, 2000);
+        drive(0, 0, 0, 4000);
+        lowest_mm = highest_mm = true_x_mm();
+        for (int n = 0; n < 3000; n++) {
+            drive(0, 0, 0, 1);
+            lowest_mm = fmin(lowest_mm, true_x_mm());
+            highest_mm = fmax(highest_mm, true_x_mm());
+        }
+        TEST_ASSERT_TRUE(highest_mm - lowest_mm < range_mm[k]);
+    }
+}
+
 static void robot_that_never_moved_has_no_duty(void) {
     drive(0, 0, 0, 1000);
     TEST_ASSERT_EQUAL_DOUBLE(0.0, largest_duty());
@@ -230,6 +253,64 @@ static void change_of_command_does_not_jump(void) {
     TEST_ASSERT_TRUE(slowest > 0.45);
 }
 
+/* A camera that sees the robot 200 mm beside its belief: the robot drives there, and the speed
+ * that is demanded of it never changes faster than the grip limit allows. */
+static void outside_pose_moves_the_robot_without_a_jump_of_the_speed(void) {
+    double most_m_s2 = 0.0;
+    drive(1000, 0, 0, 2000);
+    for (int n = 0; n < 4000; n++) {
+        const traction_change before = loop.demand;
+        double dx, dy;
+        if (n % 20 == 0) {
+            const odometry_pose seen = {(i32)lround(true_x_mm() * 8192.0),
+                                        (i32)lround((true_y_mm() + 200.0) * 8192.0), 0};
+            TEST_ASSERT_TRUE(control_loop_outside_pose(&loop, &seen, 0));
+        }
+        drive(1000, 0, 0, 1);
+        dx = loop.demand.axis_q22[0] - before.axis_q22[0];
+        dy = loop.demand.axis_q22[1] - before.axis_q22[1];
+        most_m_s2 = fmax(most_m_s2, hypot(dx, dy) / 4194.304);
+    }
+    TEST_ASSERT_TRUE(most_m_s2 < 1.05); /* 4 / s times 0.25 m/s; a jump would be the grip, 2 */
+    TEST_ASSERT_DOUBLE_WITHIN(2.0, -200.0, true_y_mm());
+    TEST_ASSERT_DOUBLE_WITHIN(2.0, 0.0, believed_y_mm());
+}
+
+static void commands_need_arming(void) {
+    const odometry_pose goal = {8192000, 0, 0};
+    static const i16 duty_q15[4] = {1000, 1000, 1000, 1000};
+    TEST_ASSERT_TRUE(control_loop_disarm(&loop));
+    TEST_ASSERT_FALSE(control_loop_command_velocity(&loop, 1000, 0, 0));
+    TEST_ASSERT_FALSE(control_loop_command_duty(&loop, duty_q15));
+    TEST_ASSERT_EQUAL(TRAJECTORY_REFUSED, control_loop_command_pose(&loop, &goal, &still));
+    for (int n = 0; n < 100; n++)
+        reference_plant_tick(&plant, &loop);
+    TEST_ASSERT_EQUAL_DOUBLE(0.0, largest_duty());
+    TEST_ASSERT_EQUAL(SUPERVISOR_STATE_IDLE, loop.telemetry.state);
+    TEST_ASSERT_EQUAL_INT(0, plant.bridges_on);
+    TEST_ASSERT_TRUE(control_loop_arm(&loop));
+    TEST_ASSERT_TRUE(control_loop_command_velocity(&loop, 1000, 0, 0));
+    reference_plant_tick(&plant, &loop);
+    TEST_ASSERT_EQUAL(SUPERVISOR_STATE_DRIVE, loop.telemetry.state);
+    TEST_ASSERT_EQUAL_INT(1, plant.bridges_on);
+}
+
+/* A fault seen before the first tick: the counters of a board that was reset while the wheels
+ * stood anywhere are still no step. */
+static void fault_at_boot_waits_to_be_cleared(void) {
+    plant.seen_angle_rad[1] = 31.0;
+    control_loop_init(&loop, &p);
+    supervisor_report(&loop, SUPERVISOR_FAULT_STORE);
+    control_loop_tick(&loop);
+    TEST_ASSERT_EQUAL(SUPERVISOR_FAULT_STORE, loop.telemetry.fault);
+    TEST_ASSERT_EQUAL_INT16(0, loop.telemetry.shaft_rad_s_q5[1]);
+    TEST_ASSERT_FALSE(control_loop_arm(&loop));
+    TEST_ASSERT_TRUE(control_loop_clear_fault(&loop));
+    TEST_ASSERT_TRUE(control_loop_arm(&loop));
+    drive(500, 0, 0, 500);
+    TEST_ASSERT_DOUBLE_WITHIN(0.1, 0.5, plant.state[PLANT_VX]);
+}
+
 /* ---- what ends in zero duty ---- */
 
 static void command_that_is_not_repeated_dies_after_200_ms(void) {
@@ -284,6 +365,7 @@ static void weak_supply_is_reported_as_the_limit(void) {
     parameters_set(&p, PARAMETER_ID_duty_limit_q15, 6000);
     drive(1500, 0, 0, 1500);
     TEST_ASSERT_EQUAL(CONTROL_LIMIT_VOLTAGE, loop.telemetry.limit);
+    TEST_ASSERT_TRUE(loop.telemetry.limit_wheel >= 1 && loop.telemetry.limit_wheel <= 4);
     TEST_ASSERT_TRUE(largest_duty() <= 6000.0 / 32768.0);
 }
 
@@ -361,6 +443,7 @@ int main(void) {
     RUN_TEST(rolling_odometry_misses_the_slip_of_the_start_and_the_observer_does_not);
     RUN_TEST(turning_robot_moves_along_its_own_axes);
     RUN_TEST(no_limit_cycle_at_standstill);
+    RUN_TEST(no_limit_cycle_with_dry_friction);
     RUN_TEST(robot_that_never_moved_has_no_duty);
     RUN_TEST(impact_is_seen_and_corrected);
     RUN_TEST(correction_of_impacts_does_not_need_exact_grip);
@@ -369,6 +452,9 @@ int main(void) {
     RUN_TEST(pose_command_arrives_in_belief_and_in_truth);
     RUN_TEST(unreachable_pose_leaves_the_command_in_force);
     RUN_TEST(change_of_command_does_not_jump);
+    RUN_TEST(outside_pose_moves_the_robot_without_a_jump_of_the_speed);
+    RUN_TEST(commands_need_arming);
+    RUN_TEST(fault_at_boot_waits_to_be_cleared);
     RUN_TEST(command_that_is_not_repeated_dies_after_200_ms);
     RUN_TEST(stop_is_zero_duty_in_the_next_tick);
     RUN_TEST(low_supply_is_zero_duty_in_the_same_tick);

@@ -103,15 +103,120 @@ static void the_limited_force_is_the_limit(void) {
     TEST_ASSERT_INT_WITHIN(8, PARAMETER_GET(&p, traction_limit_q8), largest);
 }
 
+/* ---- spreading the load ---- */
+
+static double largest_of(const double force[4], const double null[4], double z) {
+    double largest = 0.0;
+    for (int i = 0; i < 4; i++)
+        largest = fmax(largest, fabs(force[i] + z * null[i]));
+    return largest;
+}
+
+/* The smallest largest force over all z, by ternary search of a convex function. */
+static double best_largest(const double force[4], const double null[4]) {
+    double low = -1000.0, high = 1000.0;
+    for (int n = 0; n < 200; n++) {
+        const double a = low + (high - low) / 3.0, b = high - (high - low) / 3.0;
+        if (largest_of(force, null, a) < largest_of(force, null, b)) {
+            high = b;
+        } else {
+            low = a;
+        }
+    }
+    return largest_of(force, null, low);
+}
+
+/* Any force on the body: the wheels still give it, and no other choice loads the worst less. */
+static void check_spread(int x_n_q6, int y_n_q6, int torque_q8) {
+    const kinematics_force force = {(i16)x_n_q6, (i16)y_n_q6, (i16)torque_q8};
+    kinematics_force given;
+    i16 plain_q8[4], spread_q8[4];
+    double plain_n[4], null[4], spread_n = 0.0;
+    kinematics_wheel_forces(&p, &force, plain_q8);
+    traction_wheel_forces(&p, &force, spread_q8);
+    for (int i = 0; i < 4; i++) {
+        plain_n[i] = plain_q8[i] / 256.0;
+        null[i] = PARAMETER_WHEELS(&p, null_1_q13)[i] / 8192.0;
+        spread_n = fmax(spread_n, fabs(spread_q8[i] / 256.0));
+    }
+    /* the pair is chosen in steps of 1/64 N, forces are rounded to 1/256 N */
+    TEST_ASSERT_DOUBLE_WITHIN(2.0 / 64.0, best_largest(plain_n, null), spread_n);
+    kinematics_body_force(&p, spread_q8, &given);
+    TEST_ASSERT_INT_WITHIN(2, x_n_q6, given.x_n_q6); /* four forces of 1/512 N: 0.5 of Q6 */
+    TEST_ASSERT_INT_WITHIN(2, y_n_q6, given.y_n_q6);
+    TEST_ASSERT_INT_WITHIN(2, torque_q8, given.torque_n_m_q8);
+}
+
+static void spread_is_the_best_there_is(void) {
+    uint64_t seed = 41;
+    for (int n = 0; n < 5000; n++) {
+        check_spread(reference_random_i16(&seed, 4000), reference_random_i16(&seed, 4000),
+                     reference_random_i16(&seed, 3000));
+    }
+}
+
+/* Wheels at 20, 120, 215 and 320 degrees: the null vector has four different entries. */
+static void spread_is_the_best_for_uneven_wheels_too(void) {
+    static const double angles_deg[4] = {20.0, 120.0, 215.0, 320.0};
+    static const double forward[3][4] = {{-0.244682, -0.520923, 0.389240, 0.376364},
+                                         {0.372077, -0.223994, -0.411181, 0.263099},
+                                         {1.072745, 1.363658, 1.444648, 1.118949}};
+    static const double null[4] = {1.186806, -0.810282, 0.777152, -1.153677};
+    uint64_t seed = 43;
+    for (int i = 0; i < 4; i++) {
+        const double g = angles_deg[i] * REFERENCE_PI / 180.0;
+        p.value[PARAMETER_ID_drive_x_1_q15 + i] = (i16)lround(-sin(g) * 32767.0);
+        p.value[PARAMETER_ID_drive_y_1_q15 + i] = (i16)lround(cos(g) * 32767.0);
+        p.value[PARAMETER_ID_forward_x_1_q13 + i] = (i16)lround(forward[0][i] * 8192.0);
+        p.value[PARAMETER_ID_forward_y_1_q13 + i] = (i16)lround(forward[1][i] * 8192.0);
+        p.value[PARAMETER_ID_forward_omega_1_q13 + i] = (i16)lround(forward[2][i] * 8192.0);
+        p.value[PARAMETER_ID_null_1_q13 + i] = (i16)lround(null[i] * 8192.0);
+    }
+    for (int n = 0; n < 5000; n++) {
+        check_spread(reference_random_i16(&seed, 4000), reference_random_i16(&seed, 4000),
+                     reference_random_i16(&seed, 3000));
+    }
+}
+
+static void x_y_and_rotation_at_once_spare_the_worst_wheel_a_third(void) {
+    /* 40 N, 40 sqrt 3 N and 16 N m: 20 N of each on wheel 4 */
+    const kinematics_force force = {40 * 64, 4434, 16 * 256};
+    i16 plain_q8[4], spread_q8[4];
+    kinematics_wheel_forces(&p, &force, plain_q8);
+    traction_wheel_forces(&p, &force, spread_q8);
+    TEST_ASSERT_INT_WITHIN(8, 60 * 256, plain_q8[3]);
+    TEST_ASSERT_INT_WITHIN(8, 40 * 256, spread_q8[3]);
+}
+
+static void the_limit_names_the_wheel(void) {
+    traction_change forward_left_turn = {{20000, 20000, 60000}};
+    TEST_ASSERT_EQUAL_UINT(4, traction_limit(&p, 0, &forward_left_turn));
+}
+
 /* ---- trajectory ---- */
 
 typedef struct {
-    double speed_m_s, acceleration_m_s2, omega_rad_s;
+    double speed_m_s, acceleration_m_s2, omega_rad_s, force_n;
     int ticks;
 } extremes;
 
+/* Largest force of a wheel that this change of one tick takes, with the heading of the target. */
+static double wheel_force_n(const trajectory *t, const traction_change *before) {
+    traction_change change;
+    kinematics_force force;
+    i16 wheel_q8[4];
+    double largest_n = 0.0;
+    for (int axis = 0; axis < 3; axis++)
+        change.axis_q22[axis] = t->velocity.axis_q22[axis] - before->axis_q22[axis];
+    force = traction_inertia_force(&p, odometry_binary_angle(t->position_q13[2]), &change);
+    kinematics_wheel_forces(&p, &force, wheel_q8);
+    for (int i = 0; i < 4; i++)
+        largest_n = fmax(largest_n, abs(wheel_q8[i]) / 256.0);
+    return largest_n;
+}
+
 static extremes run_to_arrival(trajectory *t) {
-    extremes most = {0.0, 0.0, 0.0, 0};
+    extremes most = {0.0, 0.0, 0.0, 0.0, 0};
     while (t->ticks_left > 0) {
         const traction_change before = t->velocity;
         double dx, dy;
@@ -122,6 +227,7 @@ static extremes run_to_arrival(trajectory *t) {
         most.speed_m_s = fmax(most.speed_m_s,
                               hypot(t->velocity.axis_q22[0], t->velocity.axis_q22[1]) / 4194304.0);
         most.omega_rad_s = fmax(most.omega_rad_s, fabs(t->velocity.axis_q22[2] / 4194304.0));
+        most.force_n = fmax(most.force_n, wheel_force_n(t, &before));
         most.ticks++;
     }
     return most;
@@ -201,6 +307,50 @@ static kinematics_velocity random_velocity(uint64_t *seed) {
     return v;
 }
 
+/* Closed form for a move from rest to rest: with u = D / T the speed is 1.5 u, the acceleration
+ * 6 D / T^2, and the shares of the grip of both add up. */
+static double smallest_ticks(double distance_m, double turn_rad) {
+    const double grip_n = 5274.0 / 256.0;
+    const double grip_m_s2 = grip_n / 20.0 / sqrt(0.25 + 1.0 / 12.0);
+    const double grip_rad_s2 = grip_n / 0.55 / 1.25;
+    double smallest_s = 1.5 * distance_m / (19275.0 / 8192.0);
+    smallest_s = fmax(smallest_s, 1.5 * turn_rad / 10.0);
+    smallest_s = fmax(smallest_s, sqrt(6.0 * distance_m / (1507.0 / 1024.0)));
+    smallest_s = fmax(smallest_s, sqrt(6.0 * turn_rad / (5479.0 / 256.0)));
+    return 1000.0 * fmax(smallest_s, sqrt(6.0 * (distance_m / grip_m_s2 + turn_rad / grip_rad_s2)));
+}
+
+/* The bisection leaves 1/64; until it ends, 16 ticks are driven on a longer plan. */
+static void moves_from_rest_take_the_time_that_their_limits_need(void) {
+    uint64_t seed = 47;
+    for (int n = 0; n < 500; n++) {
+        const int reach_mm = n % 2 ? 300 : 6000;
+        const odometry_pose goal = {reference_random_i16(&seed, (i16)reach_mm) * 8192,
+                                    reference_random_i16(&seed, (i16)reach_mm) * 8192,
+                                    reference_random_i16(&seed, 3100) * 8192 * (n % 3 > 0)};
+        const double needed = smallest_ticks(hypot(goal.x_mm_q13, goal.y_mm_q13) / 8192e3,
+                                             abs(goal.theta_mrad_q13) / 8192e3);
+        trajectory t;
+        int ticks;
+        trajectory_start(&t, &origin, &still);
+        TEST_ASSERT_EQUAL(TRAJECTORY_OK, trajectory_plan(&t, &p, &goal, &still));
+        ticks = run_to_arrival(&t).ticks;
+        TEST_ASSERT_TRUE(ticks > 0.99 * needed - 1.0);
+        TEST_ASSERT_TRUE(ticks < needed * (1.0 + 1.0 / 64.0) + 16.0);
+    }
+}
+
+/* At the speed of arrival already, the way takes its natural time or less, not that of stopping and
+ * starting again: the surely sufficient time is 5 s. */
+static void a_goal_on_the_way_takes_the_time_of_the_way(void) {
+    const odometry_pose goal = {8192000, 4096000, 0};
+    const kinematics_velocity v = {8192, 4096, 0};
+    trajectory t;
+    trajectory_start(&t, &origin, &v);
+    trajectory_plan(&t, &p, &goal, &v);
+    TEST_ASSERT_LESS_OR_EQUAL_INT(1000, run_to_arrival(&t).ticks);
+}
+
 /* From any motion to any goal, retargeted half-way: limits hold, the target never jumps, arrival is
  * exact. */
 static void limits_hold_when_the_goal_changes_in_flight(void) {
@@ -223,6 +373,7 @@ static void limits_hold_when_the_goal_changes_in_flight(void) {
         TEST_ASSERT_TRUE(most.speed_m_s < 2.353 * 1.001);
         TEST_ASSERT_TRUE(most.omega_rad_s < 10.0 * 1.001);
         TEST_ASSERT_TRUE(most.acceleration_m_s2 < 1.4717 * 1.02);
+        TEST_ASSERT_TRUE(most.force_n < 20.6 * 1.02);
     }
 }
 
@@ -296,10 +447,16 @@ int main(void) {
     RUN_TEST(a_change_within_the_grip_passes_unchanged);
     RUN_TEST(a_change_beyond_the_grip_keeps_its_direction);
     RUN_TEST(the_limited_force_is_the_limit);
+    RUN_TEST(spread_is_the_best_there_is);
+    RUN_TEST(spread_is_the_best_for_uneven_wheels_too);
+    RUN_TEST(x_y_and_rotation_at_once_spare_the_worst_wheel_a_third);
+    RUN_TEST(the_limit_names_the_wheel);
     RUN_TEST(arrival_is_exact_with_the_velocity_asked_for);
     RUN_TEST(short_move_takes_the_time_of_the_acceleration_limit);
     RUN_TEST(the_way_is_on_the_cubic);
     RUN_TEST(long_move_takes_the_time_of_the_speed_limit);
+    RUN_TEST(moves_from_rest_take_the_time_that_their_limits_need);
+    RUN_TEST(a_goal_on_the_way_takes_the_time_of_the_way);
     RUN_TEST(limits_hold_when_the_goal_changes_in_flight);
     RUN_TEST(theta_goes_the_shorter_way_round);
     RUN_TEST(a_goal_beyond_60_s_is_refused_and_the_plan_kept);

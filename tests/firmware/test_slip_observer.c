@@ -30,9 +30,9 @@ static void run(const i16 voltage_v_q9[4], const i16 rim_m_s_q13[4], int ticks) 
 static void force_approaches_that_of_the_stalled_motor_as_a_low_pass(void) {
     const i16 one_volt[4] = {512, 0, 0, -512};
     run(one_volt, nothing, 5); /* 10.2 N (1 - 0.75^5) */
-    TEST_ASSERT_DOUBLE_WITHIN(0.02, 7.779, slip_observer_force_n_q8(&observer, 0) / 256.0);
-    TEST_ASSERT_DOUBLE_WITHIN(0.02, -7.779, slip_observer_force_n_q8(&observer, 3) / 256.0);
-    TEST_ASSERT_EQUAL_INT16(0, slip_observer_force_n_q8(&observer, 1));
+    TEST_ASSERT_DOUBLE_WITHIN(0.02, 7.779, observer.force_n_q8[0] / 256.0);
+    TEST_ASSERT_DOUBLE_WITHIN(0.02, -7.779, observer.force_n_q8[3] / 256.0);
+    TEST_ASSERT_EQUAL_INT16(0, observer.force_n_q8[1]);
 }
 
 /* A shaft that takes up all of the torque by accelerating leaves no force to the rim. */
@@ -44,8 +44,8 @@ static void force_that_accelerates_the_shaft_is_not_the_rims(void) {
         shaft_q5[0] = (i16)lround(1.7 * 32.0 * n);
         slip_observer_step(&observer, &p, voltage, shaft_q5, nothing);
     }
-    TEST_ASSERT_DOUBLE_WITHIN(0.1, 0.0, slip_observer_force_n_q8(&observer, 0) / 256.0);
-    TEST_ASSERT_DOUBLE_WITHIN(0.1, 10.2, slip_observer_force_n_q8(&observer, 1) / 256.0);
+    TEST_ASSERT_DOUBLE_WITHIN(0.1, 0.0, observer.force_n_q8[0] / 256.0);
+    TEST_ASSERT_DOUBLE_WITHIN(0.1, 10.2, observer.force_n_q8[1] / 256.0);
 }
 
 /* Newton: forward forces of 10.2 N per wheel are 4 * 10.2 / 2 N on 20 kg. */

@@ -87,6 +87,23 @@ def paper(
     print(f"in {out}: figure_6.png, same_impact.png, sweep.png, paper.json, four logs")
 
 
+@app.command(epilog="Example: omnislip gains robot.toml")
+def gains(
+    robot: Annotated[Path, typer.Argument(help="Model file of the robot (.toml).")],
+    as_json: Json = False,
+) -> None:
+    """Compute the firmware's parameters (gains, limits, model) for a robot."""
+    from omnislip.gains import describe
+    from omnislip.gains import gains as gains_of
+    from omnislip.model_file import read_model
+
+    found = describe(gains_of(read_model(robot)))
+    if as_json:
+        _print_json(found)
+        return
+    _print_gains(found)
+
+
 @import_app.command(epilog="Example: omnislip import emps --out build/emps")
 def emps(
     out: Annotated[Path, typer.Option(help="Folder for train.csv, test.csv and emps.toml.")],
@@ -129,6 +146,19 @@ def _check_folder(path: Path) -> None:
 
 def _print_json(result: dict[str, Any]) -> None:
     print(json.dumps(result, indent=1))
+
+
+def _print_gains(found: dict[str, Any]) -> None:
+    print(f"{'name':34} {'value':>11} {'unit':9} {'raw':>6}  is")
+    for name, row in found["parameters"].items():
+        line = f"{name:34} {row['value']:>11.6g} {row['unit']:9} {row['raw']:>6}"
+        print(f"{line}  {row['description']}")
+    for key, text in (
+        ("effects_used", "effects taken into the values"),
+        ("effects_not_used", "effects that the firmware has no term for"),
+    ):
+        if found[key]:
+            print(f"{text}: {', '.join(found[key])}")
 
 
 def _print_paper(result: dict[str, Any]) -> None:

@@ -130,7 +130,7 @@ def _motor(values: Mapping[str, float]) -> dict[str, float]:
         "volt_per_force_q15": 1.0 / (per_rim_1_m * torque_per_volt),
         "drag_q14": per_rim_1_m * drag_nm_s,
         "momentum_per_tick_q10": per_rim_1_m * values["motor.inertia_kg_m2"] / TICK_S,
-        "coulomb_force_q8": 0.0,
+        "coulomb_force_q8": per_rim_1_m * values["motor.coulomb_friction_nm"],
         "current_per_volt_q10": 1.0 / values["motor.resistance_ohm"],
     }
 
@@ -218,6 +218,7 @@ _KEYS = {
     "shaft_speed_per_count": "encoder.counts_per_rev",
     "force_per_volt": "motor.torque_constant_nm_a, motor.resistance_ohm",
     "volt_per_force": "motor.torque_constant_nm_a, motor.resistance_ohm",
+    "coulomb_force": "motor.coulomb_friction_nm",
     "drag": "motor.back_emf_constant_v_s_rad, motor.viscous_friction_nm_s",
     "momentum_per_tick": "motor.inertia_kg_m2",
     "current_per_volt": "motor.resistance_ohm",
@@ -254,6 +255,7 @@ _POSITIVE_KEYS = (
     "encoder.counts_per_rev",
 )
 _OTHER_KEYS = ("motor.inertia_kg_m2", "motor.viscous_friction_nm_s", "contact.mu_roller")
+_OPTIONAL_KEYS = {"motor.coulomb_friction_nm": 0.0}
 
 
 def q_bits(name: str) -> int:
@@ -280,8 +282,8 @@ def _raw(name: str, value: float) -> int:
 
 
 def _check(values: Mapping[str, float | Sequence[float]]) -> None:
-    for key in (*_POSITIVE_KEYS, *_OTHER_KEYS):
-        value = values.get(key)
+    for key in (*_POSITIVE_KEYS, *_OTHER_KEYS, *_OPTIONAL_KEYS):
+        value = values.get(key, _OPTIONAL_KEYS.get(key))
         if not isinstance(value, (int, float)) or not math.isfinite(value) or value < 0.0:
             raise ValueError(f"{key}: a finite number, not negative, is needed, got {value!r}")
         if key in _POSITIVE_KEYS and value == 0.0:
@@ -297,14 +299,16 @@ def firmware_parameters(values: Mapping[str, float | Sequence[float]]) -> dict[s
     """Return all firmware parameters, name -> raw integer, for the SI values of a robot model.
 
     ``values`` has the keys of ``robot.toml``, ``"section.key"``; ``robot.wheel_angles_deg`` is a
-    list of 4. Other keys are ignored. Raises ValueError, beginning with the key, when a value is
-    missing, out of range or does not fit the fixed-point format of the firmware.
+    list of 4; ``motor.coulomb_friction_nm`` may be absent for 0. Other keys are ignored. Raises
+    ValueError, beginning with the key, when a value is missing, out of range or does not fit the
+    fixed-point format of the firmware.
     """
     _check(values)
     angles_deg: Sequence[float] = values["robot.wheel_angles_deg"]  # type: ignore[assignment]
-    numbers: dict[str, float] = {
+    numbers: dict[str, float] = _OPTIONAL_KEYS | {
         key: float(values[key])  # type: ignore[arg-type]
-        for key in (*_POSITIVE_KEYS, *_OTHER_KEYS)
+        for key in (*_POSITIVE_KEYS, *_OTHER_KEYS, *_OPTIONAL_KEYS)
+        if key in values
     }
     physical = (
         _geometry(numbers, angles_deg)
