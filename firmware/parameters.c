@@ -1,38 +1,41 @@
-/* Parameter table, made from parameters.def.
- *
- * The tables are not const: the TI compiler puts const objects into a section that is not copied
- * from flash to data memory, whereas initialised data is.
- */
+/* Parameter table, made from parameters.def. */
 #include "firmware/parameters.h"
 
-#define PARAMETER(name, unit, q_bits, minimum, maximum, initial, description) minimum,
-static i16 minimum_value[PARAMETER_COUNT] = {
-#include "firmware/parameters.def"
-};
-#undef PARAMETER
+#include "firmware/frame.h"
 
-#define PARAMETER(name, unit, q_bits, minimum, maximum, initial, description) maximum,
-static i16 maximum_value[PARAMETER_COUNT] = {
-#include "firmware/parameters.def"
-};
-#undef PARAMETER
+/* sizeof does not evaluate: the text takes no memory. */
+#define TEXT_LENGTH(text) ((u16)(sizeof(#text) - 1U))
 
-#define PARAMETER(name, unit, q_bits, minimum, maximum, initial, description) initial,
-static i16 initial_value[PARAMETER_COUNT] = {
+parameters_status parameters_describe(u16 id, parameter_info *info) {
+    switch (id) {
+#define PARAMETER(name, unit, q, low, high, start, description) \
+    case PARAMETER_ID_##name:                                   \
+        info->q_bits = (q);                                     \
+        info->minimum = (low);                                  \
+        info->maximum = (high);                                 \
+        info->initial = (start);                                \
+        info->name_length = TEXT_LENGTH(name);                  \
+        info->unit_length = TEXT_LENGTH(unit);                  \
+        return PARAMETERS_OK;
 #include "firmware/parameters.def"
-};
 #undef PARAMETER
+        default:
+            return PARAMETERS_UNKNOWN_ID;
+    }
+}
 
 void parameters_set_defaults(parameters *p) {
+    parameter_info info;
     u16 id;
-    for (id = 0; id < PARAMETER_COUNT; id++)
-        p->value[id] = initial_value[id];
+    for (id = 0; parameters_describe(id, &info) == PARAMETERS_OK; id++)
+        p->value[id] = info.initial;
 }
 
 parameters_status parameters_set(parameters *p, u16 id, i32 value) {
-    if (id >= PARAMETER_COUNT)
+    parameter_info info;
+    if (parameters_describe(id, &info) != PARAMETERS_OK)
         return PARAMETERS_UNKNOWN_ID;
-    if (value < minimum_value[id] || value > maximum_value[id])
+    if (value < info.minimum || value > info.maximum)
         return PARAMETERS_OUT_OF_RANGE;
     p->value[id] = (i16)value;
     return PARAMETERS_OK;
@@ -43,4 +46,18 @@ parameters_status parameters_get(const parameters *p, u16 id, i32 *value) {
         return PARAMETERS_UNKNOWN_ID;
     *value = p->value[id];
     return PARAMETERS_OK;
+}
+
+u16 parameters_fingerprint(void) {
+    parameter_info info;
+    u16 crc = FRAME_CRC_START;
+    u16 id;
+    for (id = 0; parameters_describe(id, &info) == PARAMETERS_OK; id++) {
+        crc = frame_crc(frame_crc(crc, info.name_length), info.unit_length);
+        crc = frame_crc_u16(crc, info.q_bits);
+        crc = frame_crc_u16(crc, (u16)info.minimum);
+        crc = frame_crc_u16(crc, (u16)info.maximum);
+        crc = frame_crc_u16(crc, (u16)info.initial);
+    }
+    return crc;
 }
