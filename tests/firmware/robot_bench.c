@@ -111,7 +111,9 @@ static void run_line(robot_bench *bench) {
         bench->line_credit -= 1.0;
         if (bench->waiting_bytes == 0)
             continue;
-        if (bench->from_robot_in < sizeof bench->from_robot / sizeof *bench->from_robot)
+        if (bench->from_robot_out == bench->from_robot_in)
+            bench->from_robot_out = bench->from_robot_in = 0;
+        if (bench->from_robot_in < BENCH_LINE_BYTES)
             bench->from_robot[bench->from_robot_in++] = bench->waiting[0];
         bench->waiting_bytes--;
         memmove(bench->waiting, bench->waiting + 1, bench->waiting_bytes * sizeof *bench->waiting);
@@ -132,7 +134,7 @@ void robot_bench_ticks(robot_bench *bench, int ticks) {
 void robot_bench_send(robot_bench *bench, const uint16_t *byte, size_t bytes) {
     if (bench->to_robot_out == bench->to_robot_in)
         bench->to_robot_out = bench->to_robot_in = 0;
-    for (size_t i = 0; i < bytes && bench->to_robot_in < 4096; i++)
+    for (size_t i = 0; i < bytes && bench->to_robot_in < BENCH_LINE_BYTES; i++)
         bench->to_robot[bench->to_robot_in++] = byte[i];
 }
 
