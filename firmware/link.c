@@ -223,12 +223,14 @@ static link_result handle_stream(link_state *link, const request *r) {
 
 /* ---- From a frame to an answer ---- */
 
+/* Bytes beyond the fixed ones; too few wrap to very many. */
+#define BYTES_MORE(r, fixed) ((u16)((r)->bytes - (fixed)))
+
 static link_result carry_out(link_state *link, const request *r) {
     switch (r->code) {
-#define REQUEST(name, code, fixed, more, fields, answer, description)                 \
-    case REQUEST_##name:                                                              \
-        return r->bytes < (fixed) || r->bytes > (fixed) + (more) ? LINK_RESULT_LENGTH \
-                                                                 : handle_##name(link, r);
+#define REQUEST(name, code, bytes, more, fields, answer, description) \
+    case REQUEST_##name:                                              \
+        return BYTES_MORE(r, bytes) > (more) ? LINK_RESULT_LENGTH : handle_##name(link, r);
 #include "firmware/messages.def"
         default:
             return LINK_RESULT_UNKNOWN;

@@ -1,12 +1,13 @@
-/* A checksum over 600 ticks of the whole firmware, to be equal on machines with 32-bit and 16-bit
- * int.
+/* A checksum over 600 ticks of the control loop and 600 of the robot behind its serial line, to be
+ * equal on machines with 32-bit and 16-bit int.
  *
  * Integer promotion differs between the two, and a product that lacks its widening cast differs
  * with it. On the PC it prints the checksum; on the 16-bit machine (AVR, run in a simulator) it
  * sends it to the serial port. The inputs are pseudo-random counter steps, supplies, currents and
- * faults, a velocity and a pose command, and outside poses.
+ * faults, a velocity and a pose command, and outside poses; for the robot requests of every kind
+ * with pseudo-random fields, among noise.
  */
-#include "firmware/control_loop.h"
+#include "firmware/robot.h"
 #include "hal/hal.h"
 
 static u32 seed = 1;
@@ -58,32 +59,123 @@ void hal_write_duty(const i16 duty_q15[4]) {
         mix((u16)duty_q15[i]);
 }
 
+/* ---- the line and the store of the robot ---- */
+
+static frame_writer request;
+static u16 request_read;
+static u16 request_sequence;
+static u16 stored[HAL_STORE_WORDS];
+
+#define REQUEST(name, code, bytes, more, fields, answer, description) code, bytes,
+static u16 requests[] = {
+#include "firmware/messages.def"
+};
+#define REQUESTS (sizeof requests / sizeof requests[0] / 2)
+
+static void make_request(void) {
+    const u16 row = (u16)(next_random() % REQUESTS);
+    u16 i;
+    frame_begin(&request);
+    frame_add_u8(&request, LINK_VERSION);
+    frame_add_u8(&request, requests[2 * row]);
+    frame_add_u8(&request, request_sequence++);
+    for (i = 0; i < requests[2 * row + 1]; i++)
+        frame_add_u8(&request, next_random() % 4U == 0 ? 0 : next_random() >> 10);
+    frame_finish(&request);
+    request_read = 0;
+}
+
+u16 hal_serial_read(u16 *byte) {
+    if (request_read >= request.length) {
+        make_request();
+        return 0;
+    }
+    *byte = request.byte[request_read++];
+    if (next_random() % 256U == 0)
+        *byte ^= 4;
+    return 1;
+}
+
+u16 hal_serial_space(void) {
+    return 100;
+}
+
+void hal_serial_write(u16 byte) {
+    mix(byte);
+}
+
+u16 hal_serial_lost(void) {
+    return next_random() % 32U == 0 ? 1 : 0;
+}
+
+u16 hal_store_busy(void) {
+    return 0;
+}
+
+u16 hal_store_read(u16 address) {
+    return stored[address];
+}
+
+void hal_store_write(u16 address, u16 word) {
+    stored[address] = word;
+    mix((u32)address << 16 | word);
+}
+
+hal_reset_cause hal_read_reset_cause(void) {
+    return HAL_RESET_POWER_ON;
+}
+
+void hal_service_watchdog(void) {
+    mix(1);
+}
+
+u16 hal_read_tick_overruns(void) {
+    return 0;
+}
+
+static void run_robot(robot *r) {
+    i16 tick;
+    request.length = 0;
+    robot_init(r);
+    for (tick = 0; tick < 600; tick++) {
+        if (tick % 20 == 0 && !control_loop_arm(&r->loop))
+            control_loop_clear_fault(&r->loop);
+        robot_tick(r);
+        mix((u16)r->settings.value[next_random() % PARAMETER_COUNT]);
+    }
+    mix(r->told.counters.bad_frames);
+    mix((u32)r->store.status);
+}
+
+/* ---- the control loop ---- */
+
 static u32 run(void) {
-    static parameters p;
-    static control_loop loop;
+    static robot r;
+    control_loop *loop = &r.loop;
     const odometry_pose goal = {8192000L, -3000000L, 9000000L};
     const kinematics_velocity arrival = {1000, -500, 300};
     i16 tick;
-    parameters_set_defaults(&p);
-    control_loop_init(&loop, &p);
+    parameters_set_defaults(&r.settings);
+    control_loop_init(loop, &r.settings);
     for (tick = 0; tick < 600; tick++) {
-        if (!control_loop_arm(&loop))
-            control_loop_clear_fault(&loop);
+        if (!control_loop_arm(loop))
+            control_loop_clear_fault(loop);
         if (tick % 30 == 0)
-            control_loop_outside_pose(&loop, &goal, (i16)(tick % 250));
+            control_loop_outside_pose(loop, &goal, (i16)(tick % 250));
         if (tick >= 300) {
-            control_loop_command_pose(&loop, &goal, &arrival);
+            control_loop_command_pose(loop, &goal, &arrival);
         } else if (tick % 50 == 0) {
-            control_loop_command_velocity(&loop, (i16)(1500 - 5 * tick), (i16)(3 * tick), -2000);
+            control_loop_command_velocity(loop, (i16)(1500 - 5 * tick), (i16)(3 * tick), -2000);
         }
-        control_loop_tick(&loop);
-        mix((u32)loop.telemetry.pose.x_mm_q13);
-        mix((u32)loop.telemetry.pose.theta_mrad_q13);
-        mix((u32)loop.target.position_q13[1]);
-        mix((u16)loop.telemetry.slip_m_s_q13[2]);
-        mix((u16)(loop.telemetry.state * 256 + loop.telemetry.fault * 16) +
-            loop.telemetry.limit_wheel);
+        control_loop_tick(loop);
+        mix((u32)loop->telemetry.pose.x_mm_q13);
+        mix((u32)loop->telemetry.pose.theta_mrad_q13);
+        mix((u32)loop->target.position_q13[1]);
+        mix((u16)loop->telemetry.slip_m_s_q13[2]);
+        mix((u16)(loop->telemetry.state * 256 + loop->telemetry.fault * 16) +
+            loop->telemetry.limit_wheel);
     }
+    run_robot(&r);
     return checksum;
 }
 

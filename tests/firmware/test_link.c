@@ -205,8 +205,7 @@ static void only_known_codes_with_their_lengths_are_carried_out(void) {
     for (size_t k = 0; k < sizeof table / sizeof *table; k++) {
         known[table[k].code] = 1;
         for (u16 bytes = 0; bytes <= FRAME_RECEIVE_MAX - LINK_HEADER_BYTES; bytes++) {
-            const int fits =
-                bytes >= table[k].bytes && bytes <= table[k].bytes + table[k].more;
+            const int fits = bytes >= table[k].bytes && bytes <= table[k].bytes + table[k].more;
             begin(table[k].code);
             for (u16 i = 0; i < bytes; i++)
                 add_u8(0);
@@ -501,9 +500,8 @@ static void while_driving_gains_change_and_the_robot_does_not(void) {
         setUp();
         drive();
         parameters_describe(id, &info);
-        TEST_ASSERT_EQUAL(
-            id < PARAMETER_FIRST_TUNABLE ? LINK_RESULT_DRIVING : LINK_RESULT_ACCEPTED,
-            ask_set(id, info.initial));
+        TEST_ASSERT_EQUAL(id < PARAMETER_FIRST_TUNABLE ? LINK_RESULT_DRIVING : LINK_RESULT_ACCEPTED,
+                          ask_set(id, info.initial));
     }
     TEST_ASSERT_EQUAL(LINK_RESULT_DRIVING, ask(CODE_parameters_default));
     TEST_ASSERT_EQUAL(LINK_RESULT_DRIVING, ask(CODE_parameters_load));
