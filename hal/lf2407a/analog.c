@@ -21,7 +21,7 @@
 #define MV_PER_CODE_Q10 33000UL /* 33 V / 1024 in mV, times 2^10 */
 #define ARM (ADCTRL2_RST_SEQ1 | ADCTRL2_EVA_SOC_SEQ1 | ADCTRL2_INT_FLAG_SEQ1)
 
-DRIVER_DATA u16 code[CHANNELS];
+DRIVER_DATA volatile u16 code[CHANNELS];
 
 void analog_start(void) {
     u16 i;
@@ -38,11 +38,11 @@ void analog_start(void) {
 
 void analog_collect(void) {
     u16 i;
-    /* Not finished: the tick is late, and the next conversion runs. The values before stay. */
-    if (REGISTER_READ(ADCTRL2) & ADCTRL2_SEQ1_BSY)
-        return;
-    for (i = 0; i < CHANNELS; ++i)
-        code[i] = (u16)(REGISTER_READ(RESULT0 + i) >> RESULT_SHIFT);
+    /* Still busy: this interrupt came a whole tick late. The values before stay. */
+    if (!(REGISTER_READ(ADCTRL2) & ADCTRL2_SEQ1_BSY)) {
+        for (i = 0; i < CHANNELS; ++i)
+            code[i] = (u16)(REGISTER_READ(RESULT0 + i) >> RESULT_SHIFT);
+    }
     REGISTER_WRITE(ADCTRL2, ARM);
 }
 

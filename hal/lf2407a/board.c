@@ -1,14 +1,16 @@
 /* Clocks, watchdog, tick and interrupt dispatch.
  *
- * Interrupts only set flags and move bytes; the firmware runs from the loop of main.c, one tick at
+ * Interrupts only set flags and move values; the firmware runs from the loop of main.c, one tick at
  * a time, so that a byte never waits for a tick:
  *
- *     T2 period, INT3   1 kHz: a tick is due
+ *     T2 period, INT3   1 kHz: analog values are taken, a tick is due
  *     SCI, INT5         ring buffers of serial.c
  *     PDPINTA, PDPINTB  act in hardware; the flag is read once per tick (pwm.c)
  *
  * T2 counts CLKOUT / 8 = 5 MHz up to its period. Its compare match, 20 us before the period, starts
- * the ADC, so that every tick finds conversions that are finished and of the same age.
+ * the ADC, so that every tick finds conversions that are finished and of the same age. The
+ * interrupt takes them, not the tick: a tick that is late must not leave the sequencer where it
+ * ended.
  */
 #include "hal/cpld/registers.h"
 #include "hal/hal.h"
@@ -83,13 +85,13 @@ u16 board_tick_due(void) {
     ticks_due = 0;
     INTERRUPTS_ON;
     tick_overruns = (u16)(tick_overruns + due - 1U);
-    analog_collect();
     return 1;
 }
 
 INTERRUPT void board_int3(void) {
     if (REGISTER_READ(PIVR) == PIVR_T2PINT) {
         REGISTER_WRITE(EVA + EVIFRB, EVB_T2PINT);
+        analog_collect();
         ticks_due = (u16)(ticks_due + 1U);
     }
 }

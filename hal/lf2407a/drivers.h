@@ -16,7 +16,7 @@ extern "C" {
 void board_start(void);
 /* Starts the 1 kHz tick and lets interrupts in. */
 void board_run(void);
-/* 1 once per tick, with fresh analog values; ticks missed since are counted as overruns. */
+/* 1 once per tick; ticks missed since are counted as overruns. */
 u16 board_tick_due(void);
 
 void pwm_start(void);
@@ -25,7 +25,8 @@ void analog_start(void);
 void serial_start(void);
 void store_start(void);
 
-/* Takes the finished conversions and arms the converter for the next tick. */
+/* Parts of the interrupt routines. analog_collect takes the finished conversions and arms the
+ * converter for the next tick. */
 void analog_collect(void);
 void serial_receive(void);
 void serial_transmit(void);

@@ -19,8 +19,9 @@
 #define PIRQR1 0x7011
 #define PIRQR2 0x7012
 #define SCSR1 0x7018
-#define SCSR1_CLOCK_TIMES_4 0x0000 /* CLKPS 000: 10 MHz to 40 MHz; reset gives 111, times 0.5 [M] \
-                                    */
+#define SCSR1_CLOCK_TIMES_4                                               \
+    0x0000 /* CLKPS 000: 10 MHz to 40 MHz; reset gives 111, times 0.5 [M] \
+            */
 #define SCSR1_CLKPS 0x0E00
 #define SCSR1_ADC 0x0080
 #define SCSR1_SCI 0x0040

@@ -240,9 +240,7 @@ void Board::write(std::uint16_t address, std::uint16_t value) {
         written(address, value, before);
     }
     reschedule();
-    if (!masked_)
-        while (serve_interrupt()) {
-        }
+    serve_interrupts();
 }
 
 void Board::written(std::uint16_t address, std::uint16_t value, std::uint16_t before) {
@@ -365,11 +363,21 @@ void Board::run_to(BoardTime target) {
     now_ = target;
 }
 
+/* Interrupts come when they are due and lengthen it. */
 void Board::spend(int count) {
-    run_to(now_ + cycles(count));
-    if (!masked_)
-        while (serve_interrupt()) {
-        }
+    BoardTime left = cycles(count);
+    while (left > 0) {
+        const BoardTime end = now_ + left;
+        const BoardTime stop = masked_ ? end : std::min(end, std::max(next_event_, now_));
+        left -= stop - now_;
+        run_to(stop);
+        serve_interrupts();
+    }
+}
+
+void Board::serve_interrupts() {
+    while (!masked_ && serve_interrupt()) {
+    }
 }
 
 void Board::wait() {

@@ -170,6 +170,7 @@ class Board {
     void note(std::uint16_t address, std::uint16_t value, bool write, bool io_space);
     void run_to(BoardTime target);
     bool serve_interrupt();
+    void serve_interrupts();
     void check_served(int level, std::uint16_t pivr);
 
     BoardSurroundings &surroundings_;
