@@ -375,7 +375,7 @@ nb::object integers_to_numpy(std::vector<T> &&data, std::initializer_list<std::s
 nb::dict simulate(const Numbers &parameters, const nb::list &effects,
                   const std::map<std::string, std::int32_t> &firmware_parameters,
                   const nb::list &commands, const nb::list &impulses, double duration_s,
-                  double step_s) {
+                  double step_s, bool on_board) {
     require(duration_s > 0.0 && step_s > 0.0, "duration_s and step_s must be positive");
     std::vector<Command> command_list;
     for (nb::handle command : commands) {
@@ -390,7 +390,8 @@ nb::dict simulate(const Numbers &parameters, const nb::list &effects,
     ClosedLoopLog log;
     {
         nb::gil_scoped_release release;
-        log = run_closed_loop(values, firmware, command_list, impulse_list, duration_s, step_s);
+        log = run_closed_loop(values, firmware, command_list, impulse_list, duration_s, step_s,
+                              on_board ? Carrier::kBoard : Carrier::kPlant);
     }
     const std::size_t n = log.time_s.size();
     nb::dict result;
@@ -460,7 +461,8 @@ NB_MODULE(_core, m) {
     m.def("base_parameters", &omnislip::base_parameters, "kind"_a = "robot",
           "Keys of the model file the plant reads, in the order of a parameter set.");
     m.def("simulate", &omnislip::simulate, "parameters"_a, "effects"_a, "firmware_parameters"_a,
-          "commands"_a, "impulses"_a, "duration_s"_a, "step_s"_a = 5e-4,
-          "Firmware and plant in closed loop; arrays with one row per control tick of 1 ms.");
+          "commands"_a, "impulses"_a, "duration_s"_a, "step_s"_a = 5e-4, "on_board"_a = false,
+          "Firmware and plant in closed loop; arrays with one row per control tick of 1 ms. "
+          "on_board: through the drivers on the virtual LF2407A instead of the stub HAL.");
     omnislip::bind_replay(m);
 }

@@ -2,9 +2,11 @@
 
 #include <algorithm>
 #include <cmath>
+#include <memory>
 #include <stdexcept>
 #include <string>
 
+#include "board/on_board.h"
 #include "firmware/control_loop.h"
 #include "hal/host/hal_host.h"
 #include "integrator.h"
@@ -42,10 +44,16 @@ class Robot {
     }
 
     void counts(std::uint16_t *out) const {
-        for (int i = 0; i < 4; ++i) {
-            const double whole = std::floor(x_[RobotLayout::kAngle + i] / rad_per_count_);
-            out[i] = static_cast<std::uint16_t>(static_cast<std::int64_t>(whole));
-        }
+        const std::array<double, 4> shaft = shaft_counts();
+        for (std::size_t i = 0; i < 4; ++i)
+            out[i] = static_cast<std::uint16_t>(static_cast<std::int64_t>(std::floor(shaft[i])));
+    }
+
+    std::array<double, 4> shaft_counts() const {
+        std::array<double, 4> shaft;
+        for (int i = 0; i < 4; ++i)
+            shaft[static_cast<std::size_t>(i)] = x_[RobotLayout::kAngle + i] / rad_per_count_;
+        return shaft;
     }
 
     std::uint16_t supply_mv() const {
@@ -55,6 +63,10 @@ class Robot {
     void set_duty(const std::int16_t *duty_q15) {
         for (int i = 0; i < 4; ++i)
             duty_[i] = duty_q15[i] / 32768.0;
+    }
+
+    void set_duty(const double *duty) {
+        std::copy_n(duty, 4, duty_);
     }
 
     /* The duty holds from now on; all of them are kept because a late driver still acts on them. */
@@ -76,8 +88,8 @@ class Robot {
         v[2] += turn;
     }
 
-    void run_tick(double time_s) {
-        advance(plant_, x_, commands(), time_s, kTick_s, step_s_, rate_1_s_, in_);
+    void run(double time_s, double duration_s) {
+        advance(plant_, x_, commands(), time_s, duration_s, step_s_, rate_1_s_, in_);
     }
 
     /* Currents, slip and forces at the present state and duty. */
@@ -91,8 +103,11 @@ class Robot {
     const double *state() const {
         return x_;
     }
-    const double *duty() const {
-        return duty_;
+    const double *current_a() const {
+        return in_.current_a;
+    }
+    double bus_v() const {
+        return in_.bus_v;
     }
     const double *sensed() const {
         return sensed_;
@@ -191,12 +206,10 @@ void append(std::vector<double> &to, const double *from, int count) {
     to.insert(to.end(), from, from + count);
 }
 
-void record(ClosedLoopLog &log, double time_s, const Robot &robot, const std::uint16_t *counts,
-            const control_loop_telemetry &telemetry) {
+void record_robot(ClosedLoopLog &log, double time_s, const Robot &robot) {
     const double *x = robot.state();
     const RobotInternals<double> &in = robot.internals();
     log.time_s.push_back(time_s);
-    append(log.duty, robot.duty(), 4);
     append(log.pose, x + RobotLayout::kPose, 3);
     append(log.velocity, x + RobotLayout::kVelocity, 3);
     append(log.wheel_speed_rad_s, x + RobotLayout::kSpeed, 4);
@@ -206,7 +219,13 @@ void record(ClosedLoopLog &log, double time_s, const Robot &robot, const std::ui
     log.supply_v.push_back(in.bus_v);
     log.gyro_rad_s.push_back(robot.sensed()[4]);
     append(log.camera_pose, robot.sensed() + 5, 3);
-    log.encoder_counts.insert(log.encoder_counts.end(), counts, counts + 4);
+}
+
+void record_firmware(ClosedLoopLog &log, const control_loop_telemetry &telemetry) {
+    for (const i16 duty_q15 : telemetry.duty_q15)
+        log.duty.push_back(duty_q15 / 32768.0);
+    log.encoder_counts.insert(log.encoder_counts.end(), telemetry.encoder_counts,
+                              telemetry.encoder_counts + 4);
     const double mm_q13 = 1e-3 / 8192.0;
     const double believed[3] = {telemetry.pose.x_mm_q13 * mm_q13, telemetry.pose.y_mm_q13 * mm_q13,
                                 telemetry.pose.theta_mrad_q13 * mm_q13};
@@ -236,7 +255,7 @@ ClosedLoopLog run_closed_loop(const std::vector<double> &values,
                               const std::vector<std::int32_t> &firmware,
                               const std::vector<Command> &commands,
                               const std::vector<Impulse> &impulses, double duration_s,
-                              double step_s) {
+                              double step_s, Carrier carrier) {
     parameters settings;
     parameters_set_defaults(&settings);
     for (int id = 0; id < PARAMETER_COUNT; ++id) {
@@ -254,6 +273,11 @@ ClosedLoopLog run_closed_loop(const std::vector<double> &values,
     hal.read_supply_mv = read_supply;
     hal.read_currents_ma = read_currents;
     hal_host_attach(&hal);
+    std::unique_ptr<OnBoard<Robot>> board;
+    if (carrier == Carrier::kBoard) {
+        board = std::make_unique<OnBoard<Robot>>(robot);
+        board->wait_for_tick(-kTick_s);
+    }
     control_loop loop;
     control_loop_init(&loop, &settings);
     control_loop_tick(&loop); /* BOOT -> IDLE */
@@ -266,6 +290,8 @@ ClosedLoopLog run_closed_loop(const std::vector<double> &values,
     const long ticks = std::lround(duration_s / kTick_s);
     for (long k = 0; k < ticks; ++k) {
         const double time_s = static_cast<double>(k) * kTick_s;
+        if (board)
+            board->wait_for_tick(time_s);
         while (next < commands.size() && commands[next].time_s <= time_s + 1e-9)
             ++next;
         if (next > 0)
@@ -278,13 +304,18 @@ ClosedLoopLog run_closed_loop(const std::vector<double> &values,
             given[i] = true;
         }
         x_before = x_now;
-        std::uint16_t counts[4];
-        robot.counts(counts);
-        control_loop_tick(&loop);
-        robot.hold_duty(time_s);
-        robot.refresh(time_s);
-        record(log, time_s, robot, counts, loop.telemetry);
-        robot.run_tick(time_s);
+        if (board) {
+            robot.refresh(time_s);
+            record_robot(log, time_s, robot);
+            control_loop_tick(&loop);
+        } else {
+            control_loop_tick(&loop);
+            robot.hold_duty(time_s);
+            robot.refresh(time_s);
+            record_robot(log, time_s, robot);
+            robot.run(time_s, kTick_s);
+        }
+        record_firmware(log, loop.telemetry);
     }
     hal_host_attach(nullptr);
     return log;

@@ -29,6 +29,11 @@ struct Impulse {
     double x_n_s = 0.0, y_n_s = 0.0, theta_n_m_s = 0.0;
 };
 
+/* What carries the firmware: the plant itself, exactly on time; or the drivers on the virtual
+ * LF2407A (board/board.h) with the plant at its pins. On the board the recorded robot is that of
+ * the tick's begin, under the duty of before. */
+enum class Carrier { kPlant, kBoard };
+
 /* One entry per tick; vectors of several columns are row major. */
 struct ClosedLoopLog {
     std::vector<double> time_s, duty, pose, velocity, wheel_speed_rad_s, current_a, slip_m_s;
@@ -43,7 +48,7 @@ ClosedLoopLog run_closed_loop(const std::vector<double> &values,
                               const std::vector<std::int32_t> &firmware,
                               const std::vector<Command> &commands,
                               const std::vector<Impulse> &impulses, double duration_s,
-                              double step_s);
+                              double step_s, Carrier carrier = Carrier::kPlant);
 
 /* Name of the firmware parameter `id`. */
 const char *firmware_parameter_name(int id);

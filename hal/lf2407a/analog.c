@@ -3,6 +3,9 @@
  *     ADCIN00..03   current of wheels 1..4: 3.3 V / 1024 per 64 mA, 0 A at half scale (+-32.7 A)
  *     ADCIN04       supply: 3.3 V / 1024 per 33 V / 1024 (divider 1 : 10)
  *
+ * The converter cuts off, so a code stands for the middle of its step; offset and gain of a real
+ * chip, several codes, are not calibrated here.
+ *
  * Both signals are filtered before the pin; one conversion a tick of the mean is enough. T2 starts
  * the sequence 20 us before the tick (board.c), five conversions take 3 us.
  *
@@ -18,7 +21,7 @@
 #define RESULT_SHIFT 6
 #define HALF_SCALE 512
 #define MA_PER_CODE 64
-#define MV_PER_CODE_Q10 33000UL /* 33 V / 1024 in mV, times 2^10 */
+#define MV_PER_HALF_CODE_Q11 33000UL /* 33 V / 2048 in mV, times 2^11 */
 #define ARM (ADCTRL2_RST_SEQ1 | ADCTRL2_EVA_SOC_SEQ1 | ADCTRL2_INT_FLAG_SEQ1)
 
 DRIVER_DATA volatile u16 code[CHANNELS];
@@ -47,11 +50,11 @@ void analog_collect(void) {
 }
 
 u16 hal_read_supply_mv(void) {
-    return (u16)((code[SUPPLY_CHANNEL] * MV_PER_CODE_Q10 + 512UL) >> 10);
+    return (u16)(((2UL * code[SUPPLY_CHANNEL] + 1UL) * MV_PER_HALF_CODE_Q11 + 1024UL) >> 11);
 }
 
 void hal_read_currents_ma(i16 current_ma[4]) {
     u16 i;
     for (i = 0; i < 4U; ++i)
-        current_ma[i] = (i16)(((i16)code[i] - HALF_SCALE) * MA_PER_CODE);
+        current_ma[i] = (i16)(((i16)code[i] - HALF_SCALE) * MA_PER_CODE + MA_PER_CODE / 2);
 }

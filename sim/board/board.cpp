@@ -218,7 +218,7 @@ void Board::check_write(std::uint16_t address, std::uint16_t value) {
 
 void Board::write(std::uint16_t address, std::uint16_t value) {
     const bool compare =
-        is_event_manager(address) && (address & 0xFF) >= CMPR1 && (address & 0xFF) <= CMPR3;
+        is_event_manager(address) && (address & 0xFF) >= ACTR && (address & 0xFF) <= CMPR3;
     if (compare && computing_) {
         computing_ = false;
         spend(compute_cycles_);

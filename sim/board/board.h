@@ -5,8 +5,8 @@
  *
  *     an access costs kAccessCycles of CLKOUT, on the external bus its wait states besides;
  *     an interrupt kEnterCycles before and kLeaveCycles after its routine;
- *     what the firmware computes between reading the counters and writing the first compare
- *     register costs `compute_cycles`; all other code is free.
+ *     what the firmware computes between reading the counters and writing the first action or
+ *     compare register costs `compute_cycles`; all other code is free.
  *
  * Between accesses the board goes from event to event (compare loads, bytes, conversions, enabled
  * interrupts), so an idle millisecond costs next to nothing. Peripherals are described at their

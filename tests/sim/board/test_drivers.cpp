@@ -347,11 +347,11 @@ static void analog_values_are_right_to_half_a_code_and_of_this_tick(void) {
         std::int16_t current_ma[4];
         hal_read_currents_ma(current_ma);
         const double per_volt = 64.0 * 1024 / 3.3;
-        TEST_ASSERT_INT16_WITHIN(64, static_cast<std::int16_t>(0.5 * per_volt), current_ma[0]);
-        TEST_ASSERT_INT16_WITHIN(64, static_cast<std::int16_t>(-0.5 * per_volt), current_ma[1]);
-        TEST_ASSERT_EQUAL_INT16(-32768, current_ma[2]);
-        TEST_ASSERT_EQUAL_INT16(32704, current_ma[3]);
-        TEST_ASSERT_UINT16_WITHIN(33, 24000, hal_read_supply_mv());
+        TEST_ASSERT_INT16_WITHIN(33, static_cast<std::int16_t>(0.5 * per_volt), current_ma[0]);
+        TEST_ASSERT_INT16_WITHIN(33, static_cast<std::int16_t>(-0.5 * per_volt), current_ma[1]);
+        TEST_ASSERT_EQUAL_INT16(-32736, current_ma[2]);
+        TEST_ASSERT_EQUAL_INT16(32736, current_ma[3]);
+        TEST_ASSERT_UINT16_WITHIN(17, 24000, hal_read_supply_mv());
     });
 }
 
