@@ -41,6 +41,9 @@ def simulate(
     scenario: Annotated[Path, typer.Argument(help="Scenario file (.toml).")],
     out: Annotated[Path, typer.Option(help="Log to write (.csv or .parquet).")],
     plot: Annotated[Path | None, typer.Option(help="Figure to write (.png, .svg, .pdf).")] = None,
+    on_board: Annotated[
+        bool, typer.Option("--on-board", help="Through the drivers on the virtual LF2407A.")
+    ] = False,
     as_json: Json = False,
 ) -> None:
     """Drive a simulated robot through a scenario and log what its sensors see."""
@@ -52,7 +55,7 @@ def simulate(
     check_log_path(out)
     if plot is not None:
         plots.check_figure_path(plot)
-    run = run_scenario(read_scenario(scenario))
+    run = run_scenario(read_scenario(scenario), on_board)
     write_log(run.log, out)
     if plot is not None:
         plots.plot_run(run.truth, plot)

@@ -27,13 +27,16 @@ class Run:
     log: Log
 
 
-def run_scenario(scenario: Scenario) -> Run:
-    """Simulate `scenario`. InputError if its robot cannot be given to the firmware."""
-    truth = simulate_truth(scenario)
+def run_scenario(scenario: Scenario, on_board: bool = False) -> Run:
+    """Simulate `scenario`. InputError if its robot cannot be given to the firmware.
+
+    on_board: the firmware reaches the plant through the drivers on the virtual LF2407A.
+    """
+    truth = simulate_truth(scenario, on_board)
     return Run(truth, make_log(scenario, truth))
 
 
-def simulate_truth(scenario: Scenario) -> dict[str, Array]:
+def simulate_truth(scenario: Scenario, on_board: bool = False) -> dict[str, Array]:
     """Return the 1 kHz arrays (n rows) of the closed loop, names and units as in _core.simulate."""
     parameters, effects = scenario.model.to_core()
     try:
@@ -48,6 +51,7 @@ def simulate_truth(scenario: Scenario) -> dict[str, Array]:
         scenario.commands,
         scenario.impulses,
         scenario.duration_s,
+        on_board=on_board,
     )
 
 
