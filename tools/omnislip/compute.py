@@ -185,6 +185,9 @@ def _outcome(future: distributed.Future, name: str, scheduler: str | None) -> Ou
 
 @contextmanager
 def _client(scheduler: str | None, case_count: int) -> Iterator[distributed.Client]:
+    # Dask logs, with tracebacks, what is reported here in one line or mended by itself.
+    for name in ("distributed", "distributed.client"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)
     if scheduler is None:
         cores = len(os.sched_getaffinity(0))
         cluster = distributed.LocalCluster(
@@ -192,7 +195,7 @@ def _client(scheduler: str | None, case_count: int) -> Iterator[distributed.Clie
             threads_per_worker=1,
             dashboard_address="127.0.0.1:0",
             memory_limit=None,
-            silence_logs=logging.CRITICAL,
+            silence_logs=logging.CRITICAL,  # of the processes it starts
         )
         with cluster, distributed.Client(cluster) as client:
             yield client
