@@ -3,6 +3,7 @@
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/list.h>
 #include <nanobind/stl/map.h>
+#include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 
@@ -365,6 +366,23 @@ Impulse to_impulse(const nb::dict &given) {
     return impulse;
 }
 
+BoardSensors to_sensors(const std::vector<double> &start_counts,
+                        const std::optional<Array1> &supply_error_v, double supply_resolution_v,
+                        double duration_s) {
+    require(start_counts.size() == 4, "encoder_start_counts needs four numbers");
+    require(supply_resolution_v > 0.0, "supply_resolution_v must be positive");
+    BoardSensors sensors;
+    std::copy(start_counts.begin(), start_counts.end(), sensors.encoder_start_counts);
+    sensors.supply_resolution_v = supply_resolution_v;
+    if (supply_error_v) {
+        require(supply_error_v->size() == static_cast<std::size_t>(closed_loop_ticks(duration_s)),
+                "supply_error_v needs one number per tick");
+        sensors.supply_error_v.assign(supply_error_v->data(),
+                                      supply_error_v->data() + supply_error_v->size());
+    }
+    return sensors;
+}
+
 template <class T>
 nb::object integers_to_numpy(std::vector<T> &&data, std::initializer_list<std::size_t> shape) {
     auto *owned = new std::vector<T>(std::move(data));
@@ -375,7 +393,9 @@ nb::object integers_to_numpy(std::vector<T> &&data, std::initializer_list<std::s
 nb::dict simulate(const Numbers &parameters, const nb::list &effects,
                   const std::map<std::string, std::int32_t> &firmware_parameters,
                   const nb::list &commands, const nb::list &impulses, double duration_s,
-                  double step_s, bool on_board) {
+                  double step_s, const std::vector<double> &encoder_start_counts,
+                  const std::optional<Array1> &supply_error_v, double supply_resolution_v,
+                  bool on_board) {
     require(duration_s > 0.0 && step_s > 0.0, "duration_s and step_s must be positive");
     std::vector<Command> command_list;
     for (nb::handle command : commands) {
@@ -387,11 +407,13 @@ nb::dict simulate(const Numbers &parameters, const nb::list &effects,
     }
     const std::vector<double> values = robot_values(parameters, effects);
     const std::vector<std::int32_t> firmware = firmware_values(firmware_parameters);
+    const BoardSensors sensors =
+        to_sensors(encoder_start_counts, supply_error_v, supply_resolution_v, duration_s);
     ClosedLoopLog log;
     {
         nb::gil_scoped_release release;
         log = run_closed_loop(values, firmware, command_list, impulse_list, duration_s, step_s,
-                              on_board ? Carrier::kBoard : Carrier::kPlant);
+                              sensors, on_board ? Carrier::kBoard : Carrier::kPlant);
     }
     const std::size_t n = log.time_s.size();
     nb::dict result;
@@ -461,7 +483,9 @@ NB_MODULE(_core, m) {
     m.def("base_parameters", &omnislip::base_parameters, "kind"_a = "robot",
           "Keys of the model file the plant reads, in the order of a parameter set.");
     m.def("simulate", &omnislip::simulate, "parameters"_a, "effects"_a, "firmware_parameters"_a,
-          "commands"_a, "impulses"_a, "duration_s"_a, "step_s"_a = 5e-4, "on_board"_a = false,
+          "commands"_a, "impulses"_a, "duration_s"_a, "step_s"_a = 5e-4,
+          "encoder_start_counts"_a = std::vector<double>(4, 0.0), "supply_error_v"_a = nb::none(),
+          "supply_resolution_v"_a = 1e-3, "on_board"_a = false,
           "Firmware and plant in closed loop; arrays with one row per control tick of 1 ms. "
           "on_board: through the drivers on the virtual LF2407A instead of the stub HAL.");
     omnislip::bind_replay(m);

@@ -24,7 +24,8 @@ const char *const kParameterNames[] = {
 /* The plant as the board sees it: counters, supply, bridges. */
 class Robot {
   public:
-    Robot(const std::vector<double> &values, double step_s) : values_(values), step_s_(step_s) {
+    Robot(const std::vector<double> &values, double step_s, const BoardSensors &sensors)
+        : values_(values), sensors_(sensors), step_s_(step_s) {
         bool active[kEffectCount] = {};
         for_each_effect(RobotLayout::kMotors, [&](auto effect, int index, int slot) {
             using E = decltype(effect);
@@ -41,6 +42,7 @@ class Robot {
         hold_duty(-kTick_s);
         settle(plant_, x_, duty_, 0.0, in_);
         refresh(0.0);
+        measure_supply(0);
     }
 
     void counts(std::uint16_t *out) const {
@@ -52,12 +54,21 @@ class Robot {
     std::array<double, 4> shaft_counts() const {
         std::array<double, 4> shaft;
         for (int i = 0; i < 4; ++i)
-            shaft[static_cast<std::size_t>(i)] = x_[RobotLayout::kAngle + i] / rad_per_count_;
+            shaft[static_cast<std::size_t>(i)] =
+                x_[RobotLayout::kAngle + i] / rad_per_count_ + sensors_.encoder_start_counts[i];
         return shaft;
     }
 
+    /* What the converter shows in this tick. */
+    void measure_supply(std::size_t tick) {
+        const double error_v =
+            sensors_.supply_error_v.empty() ? 0.0 : sensors_.supply_error_v[tick];
+        const double step_v = sensors_.supply_resolution_v;
+        const double shown_v = std::round((in_.bus_v + error_v) / step_v) * step_v;
+        supply_mv_ = static_cast<std::uint16_t>(std::clamp(std::lround(shown_v * 1e3), 0L, 65535L));
+    }
     std::uint16_t supply_mv() const {
-        return static_cast<std::uint16_t>(std::clamp(std::lround(in_.bus_v * 1e3), 0L, 65535L));
+        return supply_mv_;
     }
 
     void set_duty(const std::int16_t *duty_q15) {
@@ -122,6 +133,8 @@ class Robot {
     }
 
     std::vector<double> values_, times_s_, duties_;
+    const BoardSensors &sensors_;
+    std::uint16_t supply_mv_ = 0;
     double step_s_;
     RobotPlant<double> plant_;
     double x_[RobotLayout::kAll] = {};
@@ -244,6 +257,10 @@ bool due(const Impulse &impulse, double time_s, double x_before, double x_now) {
 
 }  // namespace
 
+long closed_loop_ticks(double duration_s) {
+    return std::lround(duration_s / kTick_s);
+}
+
 const char *firmware_parameter_name(int id) {
     return kParameterNames[id];
 }
@@ -255,7 +272,7 @@ ClosedLoopLog run_closed_loop(const std::vector<double> &values,
                               const std::vector<std::int32_t> &firmware,
                               const std::vector<Command> &commands,
                               const std::vector<Impulse> &impulses, double duration_s,
-                              double step_s, Carrier carrier) {
+                              double step_s, const BoardSensors &sensors, Carrier carrier) {
     parameters settings;
     parameters_set_defaults(&settings);
     for (int id = 0; id < PARAMETER_COUNT; ++id) {
@@ -265,7 +282,7 @@ ClosedLoopLog run_closed_loop(const std::vector<double> &values,
                                         " is out of its range");
         }
     }
-    Robot robot(values, step_s);
+    Robot robot(values, step_s, sensors);
     hal_host_plant hal = {};
     hal.context = &robot;
     hal.read_encoder_counts = read_counts;
@@ -287,7 +304,7 @@ ClosedLoopLog run_closed_loop(const std::vector<double> &values,
     std::vector<bool> given(impulses.size(), false);
     std::size_t next = 0;
     double x_before = 0.0;
-    const long ticks = std::lround(duration_s / kTick_s);
+    const long ticks = closed_loop_ticks(duration_s);
     for (long k = 0; k < ticks; ++k) {
         const double time_s = static_cast<double>(k) * kTick_s;
         if (board)
@@ -304,6 +321,7 @@ ClosedLoopLog run_closed_loop(const std::vector<double> &values,
             given[i] = true;
         }
         x_before = x_now;
+        robot.measure_supply(static_cast<std::size_t>(k));
         if (board) {
             robot.refresh(time_s);
             record_robot(log, time_s, robot);

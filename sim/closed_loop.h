@@ -33,6 +33,13 @@ struct Impulse {
  * LF2407A (board/board.h) with the plant at its pins. On the board the recorded robot is that of
  * the tick's begin, under the duty of before. */
 enum class Carrier { kPlant, kBoard };
+/* Errors of the sensors that the firmware reads. */
+struct BoardSensors {
+    double encoder_start_counts[4] =
+        {}; /* counters at t = 0; the fraction is the phase in a count */
+    std::vector<double> supply_error_v; /* one per tick, or empty for none */
+    double supply_resolution_v = 1e-3;  /* the firmware's word holds whole mV */
+};
 
 /* One entry per tick; vectors of several columns are row major. */
 struct ClosedLoopLog {
@@ -42,13 +49,17 @@ struct ClosedLoopLog {
     std::vector<std::int32_t> limited, limit_wheel, fault, fault_wheel; /* control_loop.h */
 };
 
+/* Control ticks of a run. */
+long closed_loop_ticks(double duration_s);
+
 /* `values`: parameter set of RobotPlant; `firmware`: raw value per parameter id, PARAMETER_COUNT of
  * them. Throws std::invalid_argument when the firmware refuses a parameter or a command. */
 ClosedLoopLog run_closed_loop(const std::vector<double> &values,
                               const std::vector<std::int32_t> &firmware,
                               const std::vector<Command> &commands,
                               const std::vector<Impulse> &impulses, double duration_s,
-                              double step_s, Carrier carrier = Carrier::kPlant);
+                              double step_s, const BoardSensors &sensors = {},
+                              Carrier carrier = Carrier::kPlant);
 
 /* Name of the firmware parameter `id`. */
 const char *firmware_parameter_name(int id);

@@ -18,6 +18,7 @@ pose_rate_hz = 20
 [sensors]
 gyro_bias_rad_s = -0.01
 pose_delay_s = 0.05
+encoder_start_counts = [0, 0.5, 100, 65535]
 [[command]]
 t_s = 0.0
 velocity = [1.0, 0.0, 0.5]
@@ -42,7 +43,9 @@ def test_a_scenario_becomes_commands_and_impulses(write):
     assert scenario.name == "drive"
     assert not scenario.slip_compensation
     assert (scenario.rate_hz, scenario.pose_rate_hz, scenario.seed) == (100, 20, 3)
-    assert scenario.sensors == Sensors(gyro_bias_rad_s=-0.01, pose_delay_s=0.05)
+    assert scenario.sensors == Sensors(
+        gyro_bias_rad_s=-0.01, pose_delay_s=0.05, encoder_start_counts=(0.0, 0.5, 100.0, 65535.0)
+    )
     assert scenario.commands == [
         {"t_s": 0.0, "kind": "velocity", "value": [1.0, 0.0, 0.5]},
         {"t_s": 0.5, "kind": "pose", "value": [1.0, 2.0, 0.1, 0.1, 0.0, 0.0]},
@@ -83,6 +86,8 @@ MISTAKES = {
     "pose rate": ("pose_rate_hz = 20", "pose_rate_hz = 30", ["log.pose_rate_hz", "100"]),
     "sensor": ("gyro_bias_rad_s", "gyro_bias_deg_s", ["gyro_bias_rad_s"]),
     "sensor range": ("pose_delay_s = 0.05", "pose_delay_s = -1", ["sensors.pose_delay_s", "0 to"]),
+    "encoder starts": ("[0, 0.5, 100, 65535]", "[0, 0.5]", ["encoder_start_counts", "4 numbers"]),
+    "encoder start": ("100, 65535]", "100, 65536]", ["encoder_start_counts", "0 to 65535, not 65536"]),
     "command time": ("t_s = 0.5", "t_s = 1.7", ["[[command]]", "order"]),
     "command without time": ("t_s = 0.0\nvelocity", "velocity", ["command 1: t_s"]),
     "two commands": ("stop = true", "stop = true\nduty = [0, 0, 0, 0]", ["command 4", "one of"]),

@@ -8,7 +8,7 @@ from omnislip.errors import InputError
 from omnislip.log_file import read_log, write_log
 from omnislip.model_file import NOMINAL_ROBOT, read_model
 from omnislip.scenario import Scenario, Sensors
-from omnislip.simulate import make_log, run_scenario
+from omnislip.simulate import make_log, run_scenario, simulate_truth
 
 TICKS = 2000
 
@@ -48,7 +48,7 @@ def test_other_columns_are_samples_at_the_time_of_the_row():
         log.columns["wheel/4/encoder_counts"], truth["encoder_counts"][::5, 3]
     )
     np.testing.assert_array_equal(log.columns["wheel/2/current_a"], truth["current_a"][::5, 1])
-    np.testing.assert_array_equal(log.columns["supply/voltage_v"], truth["supply_v"][::5])
+    np.testing.assert_allclose(log.columns["supply/voltage_v"], truth["supply_v"][::5], atol=5e-4)
 
 
 def test_counts_wrap_at_16_bits():
@@ -86,6 +86,78 @@ def test_dropout_loses_the_stated_share_of_poses():
     seen = np.isfinite(make_log(settings, ramp_truth()).columns["pose/x_m"])
     # 2000 draws: the standard error of the share is 0.0102; 5 of it.
     assert abs(seen.mean() - 0.7) < 0.052
+
+
+def test_supply_and_currents_are_shown_in_steps():
+    sensors = Sensors(supply_resolution_v=0.1, current_resolution_a=0.5)
+    truth = ramp_truth()
+    log = make_log(scenario(sensors=sensors, rate_hz=1000), truth)
+    for column, step, exact in (
+        ("supply/voltage_v", 0.1, truth["supply_v"]),
+        ("wheel/4/current_a", 0.5, truth["current_a"][:, 3]),
+    ):
+        shown = log.columns[column]
+        assert np.abs(shown - exact).max() <= step / 2 + 1e-9
+        np.testing.assert_allclose(shown / step, np.round(shown / step), atol=1e-6)
+
+
+def test_supply_and_current_noise_have_the_stated_size():
+    sensors = Sensors(supply_noise_v=0.2, current_noise_a=0.3)
+    truth = ramp_truth()
+    log = make_log(scenario(sensors=sensors, rate_hz=1000), truth)
+    # 2000 samples: the standard error of the deviation is 1 / 63 of it; 5 of it.
+    supply_error = log.columns["supply/voltage_v"] - truth["supply_v"]
+    assert abs(supply_error.std() - 0.2) < 0.2 * 5 / 63
+    current_error = log.columns["wheel/1/current_a"] - truth["current_a"][:, 0]
+    assert abs(current_error.std() - 0.3) < 0.3 * 5 / 63
+
+
+def open_loop(**sensors: object) -> dict[str, np.ndarray]:
+    """The plant under a fixed duty: what the sensors show does not change its motion."""
+    duty = {"t_s": 0.0, "kind": "duty", "value": [0.05, 0.1, -0.15, 0.2]}
+    settings = scenario(commands=[duty], sensors=Sensors(**sensors), duration_s=1.0)
+    return simulate_truth(settings)
+
+
+def test_encoders_show_whole_counts_from_their_start_and_phase():
+    start = (0.0, 0.5, 100.25, 65535.75)
+    exact, shown = open_loop(), open_loop(encoder_start_counts=start)
+    np.testing.assert_array_equal(shown["pose"], exact["pose"])
+    ahead = (shown["encoder_counts"] - exact["encoder_counts"]).astype(int)
+    assert (ahead[:, 0] == 0).all()
+    assert set(ahead[:, 1]) == {0, 1}
+    assert set(ahead[:, 2]) == {100, 101}
+    assert set(ahead[:, 3]) == {65535, 0}
+    # The counters turn through hundreds of counts: the share of the time ahead is the phase.
+    assert abs((ahead[:, 1] == 1).mean() - 0.5) < 0.1
+    assert abs((ahead[:, 2] == 101).mean() - 0.25) < 0.1
+
+
+def test_where_the_counters_start_does_not_move_the_odometry():
+    straight = [
+        simulate_truth(scenario(sensors=Sensors(encoder_start_counts=start)))["odometry"]
+        for start in ((0.0,) * 4, (65535.9, 30000.5, 0.3, 12345.0))
+    ]
+    assert np.abs(straight[1][0]).max() < 1e-3
+    np.testing.assert_allclose(straight[1], straight[0], atol=2e-3)
+
+
+def test_the_firmware_sees_the_noise_of_the_supply():
+    clean, noisy, again = (
+        simulate_truth(scenario(sensors=Sensors(supply_noise_v=noise))) for noise in (0, 1, 1)
+    )
+    assert not np.array_equal(clean["duty"], noisy["duty"])
+    np.testing.assert_array_equal(noisy["duty"], again["duty"])
+
+
+def test_the_errors_of_one_sensor_do_not_depend_on_another():
+    quiet = Sensors(gyro_noise_rad_s=0.1)
+    loud = Sensors(gyro_noise_rad_s=0.1, pose_noise_m=1.0, pose_dropout_fraction=0.5)
+    gyro = [
+        make_log(scenario(sensors=sensors, pose_rate_hz=rate), ramp_truth()).columns["gyro/z_rad_s"]
+        for sensors, rate in ((quiet, 50), (loud, 100))
+    ]
+    np.testing.assert_array_equal(gyro[0], gyro[1])
 
 
 def test_the_same_seed_gives_the_same_log():

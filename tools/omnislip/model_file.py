@@ -10,6 +10,7 @@ per key. Each [[effects.NAME]] table adds one effect of the catalogue to the mod
 its unit in its name; unknown and missing keys are errors.
 """
 
+import copy
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -146,7 +147,12 @@ class Model:
 def read_model(path: Path | str) -> Model:
     """Read and check a model file. InputError names the file, the key and what would be right."""
     path = Path(path)
-    data = load_toml(path)
+    return parse_model(load_toml(path), path)
+
+
+def parse_model(data: Mapping[str, Any], path: Path) -> Model:
+    """Return the model of the parsed file `data`; `path` is for the messages."""
+    data = copy.deepcopy(dict(data))
     header = check_table(data.pop("model", {}), "model", path)
     check_known(header, ["kind"], "key in [model]", path)
     kind = header.get("kind", "robot")

@@ -3,9 +3,14 @@
 [scenario]  name, duration_s, robot (model file, relative to the scenario; default: the nominal
             robot), controller ("slip" or "plain": with or without slip compensation), seed
 [log]       rate_hz (default 200), pose_rate_hz (default 50)
-[sensors]   gyro_noise_rad_s, gyro_bias_rad_s, pose_noise_m, pose_noise_rad, pose_delay_s,
-            pose_dropout_fraction, supply_noise_v, current_noise_a (default 0; noise is the
-            standard deviation of each sample)
+[sensors]   default 0 unless said otherwise; noise is the standard deviation of each sample
+            gyro_noise_rad_s, gyro_bias_rad_s
+            pose_noise_m, pose_noise_rad, pose_delay_s, pose_dropout_fraction (camera)
+            current_noise_a, current_resolution_a (log only; resolution 0: not rounded)
+            and, seen by the firmware too:
+            supply_noise_v, supply_resolution_v (default 0.001)
+            encoder_start_counts = [c1, c2, c3, c4], 0 to 65535: the counters at t = 0; the
+            fraction is the phase, the share of a count already turned
 [[command]] t_s and one of: velocity = [vx_m_s, vy_m_s, omega_rad_s] (body frame),
             pose = [x_m, y_m, theta_rad] with optional arrival_velocity (world frame),
             duty = [d1, d2, d3, d4], stop = true. Holds until the next command.
@@ -28,9 +33,19 @@ MAX_DURATION_S = 600.0
 IMPULSES = ("impulse_x_n_s", "impulse_y_n_s", "impulse_theta_n_m_s")
 
 
+# Smallest and largest value of each key of [sensors]; 0 to 100 where nothing else is said.
+SENSOR_RANGES = {
+    "gyro_bias_rad_s": (-100.0, 100.0),
+    "pose_delay_s": (0.0, 1.0),
+    "pose_dropout_fraction": (0.0, 1.0),
+    "supply_resolution_v": (0.001, 10.0),
+}
+MAX_START_COUNTS = 65535.0
+
+
 @dataclass(frozen=True)
 class Sensors:
-    """Errors of the simulated sensors; noise values are standard deviations per sample."""
+    """Errors of the simulated sensors; what each means stands at the head of this file."""
 
     gyro_noise_rad_s: float = 0.0
     gyro_bias_rad_s: float = 0.0
@@ -39,7 +54,10 @@ class Sensors:
     pose_delay_s: float = 0.0
     pose_dropout_fraction: float = 0.0
     supply_noise_v: float = 0.0
+    supply_resolution_v: float = 0.001
     current_noise_a: float = 0.0
+    current_resolution_a: float = 0.0
+    encoder_start_counts: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -62,6 +80,21 @@ def read_scenario(path: Path | str) -> Scenario:
     """Read and check a scenario file. InputError names the file, the key and what is right."""
     path = Path(path)
     data = load_toml(path)
+    return parse_scenario(data, path, read_model(robot_path(data, path)))
+
+
+def robot_path(data: dict[str, Any], path: Path) -> Path:
+    """Return the model file that the parsed scenario file `data` names."""
+    head = check_table(data.get("scenario", {}), "scenario", path)
+    if "robot" not in head:
+        return NOMINAL_ROBOT
+    return path.parent / _text(head["robot"], "scenario.robot", path)
+
+
+def parse_scenario(data: dict[str, Any], path: Path, model: Model) -> Scenario:
+    """Return the scenario of the parsed file `data`, driven by the robot `model`."""
+    if model.kind != "robot":
+        raise InputError(f"{model.path}: a scenario needs a model of kind 'robot'")
     check_known(data, ["scenario", "log", "sensors", "command", "impact"], "table", path)
     head = check_table(data.get("scenario", {}), "scenario", path)
     check_known(
@@ -74,7 +107,7 @@ def read_scenario(path: Path | str) -> Scenario:
     return Scenario(
         name=_text(head.get("name", path.stem), "scenario.name", path),
         duration_s=duration_s,
-        model=_read_robot(head.get("robot"), path),
+        model=model,
         commands=_read_list(data, "command", _read_command, path),
         impulses=_read_list(data, "impact", _read_impact, path),
         slip_compensation=_read_controller(head.get("controller", "slip"), path) == "slip",
@@ -114,15 +147,6 @@ def _read_controller(value: object, path: Path) -> str:
     return str(value)
 
 
-def _read_robot(value: object, path: Path) -> Model:
-    if value is None:
-        return read_model(NOMINAL_ROBOT)
-    model = read_model(path.parent / _text(value, "scenario.robot", path))
-    if model.kind != "robot":
-        raise InputError(f"{model.path}: a scenario needs a model of kind 'robot'")
-    return model
-
-
 def _read_rates(table: dict[str, Any], path: Path) -> tuple[int, int]:
     check_known(table, ["rate_hz", "pose_rate_hz"], "key in [log]", path)
     rate_hz = _whole(table.get("rate_hz", 200), "log.rate_hz", path)
@@ -139,11 +163,14 @@ def _read_rates(table: dict[str, Any], path: Path) -> tuple[int, int]:
 
 def _read_sensors(table: dict[str, Any], path: Path) -> Sensors:
     check_known(table, Sensors.__dataclass_fields__, "key in [sensors]", path)
-    values = {}
+    values: dict[str, Any] = {}
     for key, item in table.items():
-        low = -100.0 if key == "gyro_bias_rad_s" else 0.0
-        high = 1.0 if key in ("pose_dropout_fraction", "pose_delay_s") else 100.0
-        values[key] = _in_range(item, f"sensors.{key}", low, high, path)
+        where = f"sensors.{key}"
+        if key == "encoder_start_counts":
+            counts = check_numbers(item, 4, where, path)
+            values[key] = tuple(_in_range(c, where, 0.0, MAX_START_COUNTS, path) for c in counts)
+        else:
+            values[key] = _in_range(item, where, *SENSOR_RANGES.get(key, (0.0, 100.0)), path)
     return Sensors(**values)
 
 

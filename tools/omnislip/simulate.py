@@ -2,6 +2,8 @@
 
 The log keeps every (1000 / rate_hz)-th control tick. Duty of a row is the mean over its interval,
 which is what a model needs that integrates from row to row; everything else is sampled at t_s.
+Errors of encoders and supply act in the loop, since the firmware reads these sensors; gyro,
+currents and camera are only logged.
 """
 
 from dataclasses import dataclass
@@ -13,7 +15,7 @@ from omnislip import _core
 from omnislip.errors import InputError
 from omnislip.firmware_parameters import firmware_parameters
 from omnislip.log_file import POSE_COLUMNS, Log
-from omnislip.scenario import CONTROL_RATE_HZ, Scenario, Sensors
+from omnislip.scenario import CONTROL_RATE_HZ, Scenario
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
@@ -44,6 +46,8 @@ def simulate_truth(scenario: Scenario, on_board: bool = False) -> dict[str, Arra
     except ValueError as error:
         raise InputError(f"{scenario.model.path}: {error}") from None
     raw_parameters["slip_compensation"] = int(scenario.slip_compensation)
+    sensors = scenario.sensors
+    ticks = round(scenario.duration_s * CONTROL_RATE_HZ)
     return _core.simulate(
         parameters,
         effects,
@@ -52,6 +56,9 @@ def simulate_truth(scenario: Scenario, on_board: bool = False) -> dict[str, Arra
         scenario.impulses,
         scenario.duration_s,
         on_board=on_board,
+        encoder_start_counts=sensors.encoder_start_counts,
+        supply_error_v=_supply_error_v(scenario, ticks),
+        supply_resolution_v=sensors.supply_resolution_v,
     )
 
 
@@ -62,13 +69,25 @@ def make_log(scenario: Scenario, truth: dict[str, Array]) -> Log:
     if row_count < 2:
         raise InputError(f"scenario '{scenario.name}': too short for 2 rows of the log")
     tick = np.arange(row_count) * ticks_per_row
-    generator = np.random.default_rng(scenario.seed)
     duty = truth["duty"][: row_count * ticks_per_row].reshape(row_count, ticks_per_row, 4)
     columns = _wheel_columns(duty.mean(axis=1), truth["encoder_counts"][tick])
-    columns |= _analogue_columns(truth, tick, scenario.sensors, generator)
-    rows_per_pose = scenario.rate_hz // scenario.pose_rate_hz
-    columns |= _pose_columns(truth, tick, rows_per_pose, scenario.sensors, generator)
+    columns["gyro/z_rad_s"] = _gyro(scenario, truth["gyro_rad_s"][tick])
+    columns["supply/voltage_v"] = _supply(scenario, truth["supply_v"])[tick]
+    columns |= _current_columns(scenario, truth["current_a"][tick])
+    columns |= _pose_columns(scenario, truth, tick)
     return Log(scenario.name, truth["t_s"][tick], columns)
+
+
+def _noise(scenario: Scenario, sensor: str, *shape: int) -> Array:
+    """Return standard normal numbers: a stream of its own for each sensor and seed.
+
+    So a sensor's errors stay the same whatever is asked of the other sensors.
+    """
+    return _stream(scenario, sensor).standard_normal(shape)
+
+
+def _stream(scenario: Scenario, sensor: str) -> np.random.Generator:
+    return np.random.default_rng([scenario.seed, *sensor.encode()])
 
 
 def _wheel_columns(duty: Array, counts: Array) -> dict[str, Array]:
@@ -78,37 +97,45 @@ def _wheel_columns(duty: Array, counts: Array) -> dict[str, Array]:
     return columns
 
 
-def _analogue_columns(
-    truth: dict[str, Array], tick: Indices, sensors: Sensors, generator: np.random.Generator
-) -> dict[str, Array]:
-    def noisy(values: Array, deviation: float) -> Array:
-        return values + deviation * generator.standard_normal(len(values))
-
-    yaw_rate = truth["gyro_rad_s"][tick] + sensors.gyro_bias_rad_s
-    columns = {
-        "gyro/z_rad_s": noisy(yaw_rate, sensors.gyro_noise_rad_s),
-        "supply/voltage_v": noisy(truth["supply_v"][tick], sensors.supply_noise_v),
-    }
-    for wheel in range(4):
-        current = truth["current_a"][tick, wheel]
-        columns[f"wheel/{wheel + 1}/current_a"] = noisy(current, sensors.current_noise_a)
-    return columns
+def _gyro(scenario: Scenario, rate_rad_s: Array) -> Array:
+    noise = _noise(scenario, "gyro", len(rate_rad_s))
+    return rate_rad_s + scenario.sensors.gyro_bias_rad_s + scenario.sensors.gyro_noise_rad_s * noise
 
 
-def _pose_columns(
-    truth: dict[str, Array],
-    tick: Indices,
-    rows_per_pose: int,
-    sensors: Sensors,
-    generator: np.random.Generator,
-) -> dict[str, Array]:
-    shown_s = truth["t_s"][tick] - sensors.pose_delay_s
+def _supply_error_v(scenario: Scenario, ticks: int) -> Array:
+    return scenario.sensors.supply_noise_v * _noise(scenario, "supply", ticks)
+
+
+def _supply(scenario: Scenario, supply_v: Array) -> Array:
+    """Return what the firmware's converter shows of the voltage, (n,) at 1 kHz."""
+    shown_v = supply_v + _supply_error_v(scenario, len(supply_v))
+    return _rounded(shown_v, scenario.sensors.supply_resolution_v)
+
+
+def _current_columns(scenario: Scenario, current_a: Array) -> dict[str, Array]:
+    sensors = scenario.sensors
+    shown = current_a + sensors.current_noise_a * _noise(scenario, "current", *current_a.shape)
+    shown = _rounded(shown, sensors.current_resolution_a)
+    return {f"wheel/{wheel + 1}/current_a": shown[:, wheel] for wheel in range(4)}
+
+
+def _rounded(values: Array, resolution: float) -> Array:
+    if resolution == 0:
+        return values
+    # The second rounding is for the reader of the file: 23.99, not 23.990000000000002.
+    return np.round(np.round(values / resolution) * resolution, 9)
+
+
+def _pose_columns(scenario: Scenario, truth: dict[str, Array], tick: Indices) -> dict[str, Array]:
+    sensors = scenario.sensors
+    rows_per_pose = scenario.rate_hz // scenario.pose_rate_hz
     seen = np.arange(len(tick)) % rows_per_pose == 0
-    seen &= generator.random(len(tick)) >= sensors.pose_dropout_fraction
-    deviations = [sensors.pose_noise_m, sensors.pose_noise_m, sensors.pose_noise_rad]
+    seen &= _stream(scenario, "dropout").random(len(tick)) >= sensors.pose_dropout_fraction
+    shown_s = truth["t_s"][tick] - sensors.pose_delay_s
+    noise = _noise(scenario, "pose", len(tick), 3)
+    deviations = (sensors.pose_noise_m, sensors.pose_noise_m, sensors.pose_noise_rad)
     columns = {}
     for axis, (name, deviation) in enumerate(zip(POSE_COLUMNS, deviations, strict=True)):
         pose = np.interp(shown_s, truth["t_s"], truth["camera_pose"][:, axis])
-        pose += deviation * generator.standard_normal(len(pose))
-        columns[name] = np.where(seen, pose, np.nan)
+        columns[name] = np.where(seen, pose + deviation * noise[:, axis], np.nan)
     return columns
