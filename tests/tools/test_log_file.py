@@ -86,7 +86,8 @@ BAD_CELLS = {
 }
 # Text of an axis log, words the error line must contain.
 BAD_FILES = {
-    "empty": ("", ["not a .csv log"]),
+    "empty": ("", ["run.csv: empty; a header row is expected"]),
+    "blank lines": ("\n\n", ["run.csv: empty; a header row is expected"]),
     "header only": ("t_s,axis/command,axis/position_m\n", ["at least 2 rows", "0"]),
     "one row": ("t_s,axis/command,axis/position_m\n0,0,0\n", ["at least 2 rows", "1"]),
     "no header": ("0.0,1.0,2.0\n0.1,1.0,2.0\n", ["first column must be 't_s'", "'0.0'"]),
@@ -120,6 +121,7 @@ def test_files_that_are_no_logs(tmp_path, write):
     assert "cannot be read" in error_of(tmp_path / "none.parquet", "axis")
     assert ".csv or .parquet" in error_of(tmp_path / "run.xlsx", "axis")
     assert "not a .parquet log" in error_of(write("run.parquet", AXIS), "axis")
+    assert "empty; a header row" in error_of(write("run.parquet", ""), "axis")
     (tmp_path / "latin.csv").write_bytes(b"t_s,\xe9\n0,1\n1,2\n")
     assert "not a .csv log" in error_of(tmp_path / "latin.csv", "axis")
 

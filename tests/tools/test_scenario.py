@@ -87,7 +87,7 @@ MISTAKES = {
     "sensor": ("gyro_bias_rad_s", "gyro_bias_deg_s", ["gyro_bias_rad_s"]),
     "sensor range": ("pose_delay_s = 0.05", "pose_delay_s = -1", ["sensors.pose_delay_s", "0 to"]),
     "encoder starts": ("[0, 0.5, 100, 65535]", "[0, 0.5]", ["encoder_start_counts", "4 numbers"]),
-    "encoder start": ("100, 65535]", "100, 65536]", ["encoder_start_counts", "0 to 65535, not 65536"]),
+    "encoder start": ("65535]", "65536]", ["encoder_start_counts", "0 to 65535, not 65536"]),
     "command time": ("t_s = 0.5", "t_s = 1.7", ["[[command]]", "order"]),
     "command without time": ("t_s = 0.0\nvelocity", "velocity", ["command 1: t_s"]),
     "two commands": ("stop = true", "stop = true\nduty = [0, 0, 0, 0]", ["command 4", "one of"]),

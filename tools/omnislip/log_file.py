@@ -56,9 +56,13 @@ def read_log(path: Path | str, kind: str) -> Log:
     path = Path(path)
     suffix = check_log_path(path)
     try:
+        if path.stat().st_size == 0:
+            raise pd.errors.EmptyDataError
         frame = _read_csv(path) if suffix == ".csv" else pd.read_parquet(path)
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
+    except pd.errors.EmptyDataError:
+        raise InputError(f"{path}: empty; a header row is expected, first column 't_s'") from None
     except (UnicodeDecodeError, ValueError) as error:
         # pandas and pyarrow say in the first line what they met and where.
         raise InputError(f"{path}: not a {suffix} log: {str(error).splitlines()[0]}") from None
@@ -85,14 +89,20 @@ def write_log(log: Log, path: Path | str) -> None:
     """Write `log` to .csv or .parquet (by the suffix), whole or not at all."""
     path = Path(path)
     suffix = check_log_path(path)
-    frame = pd.DataFrame({"t_s": log.t_s, **log.columns})
-    counts = [name for name in log.columns if COUNTS_PATTERN.fullmatch(name)]
-    frame[counts] = frame[counts].astype(np.int64)
+    frame = log_frame(log)
     with replace_file(path) as temporary:
         if suffix == ".csv":
             frame.to_csv(temporary, index=False)
         else:
             frame.to_parquet(temporary, index=False)
+
+
+def log_frame(log: Log) -> pd.DataFrame:
+    """Return the table that a log file holds: t_s first, counts as whole numbers."""
+    frame = pd.DataFrame({"t_s": log.t_s, **log.columns})
+    counts = [name for name in log.columns if COUNTS_PATTERN.fullmatch(name)]
+    frame[counts] = frame[counts].astype(np.int64)
+    return frame
 
 
 def check_log_path(path: Path) -> str:
