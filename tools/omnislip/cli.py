@@ -5,19 +5,35 @@ done, 2 for bad input, with one line that says what to mend.
 """
 
 import json
+import math
 import sys
-from collections.abc import Iterable
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 from rich.console import Console
-from rich.progress import track
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeRemainingColumn,
+    track,
+)
 from rich.table import Table
 
 from omnislip.errors import InputError
 from omnislip.gap.commands import app as gap_app
+from omnislip.gap.commands import check_folder
 from omnislip.importers import data_folder
+
+if TYPE_CHECKING:  # the command line starts without pandas
+    from omnislip.log_file import Log
+
+SECONDS_PER_LINE = 2.0
 
 app = typer.Typer(
     help="Simulate a four-wheeled omnidirectional robot with slip; find what its model lacks.",
@@ -36,27 +52,60 @@ Item = TypeVar("Item")
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 
 
-@app.command(epilog="Example: omnislip simulate square.toml --out square.csv --plot square.png")
+@app.command(
+    epilog="Example: omnislip simulate square.toml --out square.csv --plot square.png\n\n"
+    "Example: omnislip simulate square.toml --sweep sweep.toml --out square_sweep"
+)
 def simulate(
     scenario: Annotated[Path, typer.Argument(help="Scenario file (.toml).")],
-    out: Annotated[Path, typer.Option(help="Log to write (.csv or .parquet).")],
+    out: Annotated[
+        Path, typer.Option(help="Log to write (.csv, .parquet, .mcap); folder of a sweep.")
+    ],
     plot: Annotated[Path | None, typer.Option(help="Figure to write (.png, .svg, .pdf).")] = None,
     on_board: Annotated[
         bool, typer.Option("--on-board", help="Through the drivers on the virtual LF2407A.")
     ] = False,
+    sweep: Annotated[
+        Path | None, typer.Option(help="Sweep file (.toml): simulate with these keys varied.")
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(help="Dask scheduler for the sweep, tcp://HOST:8786; default: this machine."),
+    ] = None,
     as_json: Json = False,
 ) -> None:
-    """Drive a simulated robot through a scenario and log what its sensors see."""
+    """Drive a simulated robot through a scenario and log what its sensors see.
+
+    With --sweep: many times over, with keys of scenario and robot varied; what was finished is kept
+    when the command is repeated.
+    """
+    if sweep is None:
+        if scheduler is not None:
+            raise InputError("--scheduler: goes with --sweep")
+        _simulate_once(scenario, out, plot, on_board, as_json)
+        return
+    if plot is not None:
+        raise InputError("--plot: goes with a single run, not with --sweep")
+    if on_board:
+        raise InputError("--on-board: goes with a single run, not with --sweep")
+    _simulate_sweep(scenario, sweep, out, scheduler, as_json)
+
+
+def _simulate_once(
+    scenario: Path, out: Path, plot: Path | None, on_board: bool, as_json: bool
+) -> None:
     from omnislip import plots
-    from omnislip.log_file import check_log_path, write_log
+    from omnislip.mcap_export import with_truth
+    from omnislip.measures import measure
     from omnislip.scenario import read_scenario
     from omnislip.simulate import run_scenario
 
-    check_log_path(out)
+    _check_written_log(out)
     if plot is not None:
         plots.check_figure_path(plot)
-    run = run_scenario(read_scenario(scenario), on_board)
-    write_log(run.log, out)
+    settings = read_scenario(scenario)
+    run = run_scenario(settings, on_board)
+    _write_log(with_truth(run.log, run.truth) if out.suffix == ".mcap" else run.log, out)
     if plot is not None:
         plots.plot_run(run.truth, plot)
     x_m, y_m, theta_rad = run.truth["pose"][-1].tolist()
@@ -65,12 +114,45 @@ def simulate(
         "plot": str(plot) if plot is not None else None,
         "rows": len(run.log.t_s),
         "final_pose": {"x_m": x_m, "y_m": y_m, "theta_rad": theta_rad},
+        "measures": _finite_or_none(measure(settings, run.truth)),
     }
     if as_json:
         _print_json(result)
         return
     print(f"{len(run.log.t_s)} rows in {out}" + (f", figure in {plot}" if plot else ""))
     print(f"final pose: x {x_m:.3f} m, y {y_m:.3f} m, theta {theta_rad:.3f} rad")
+
+
+def _simulate_sweep(
+    scenario: Path, sweep: Path, out: Path, scheduler: str | None, as_json: bool
+) -> None:
+    from omnislip.sweep import SUMMARY, read_sweep, run_sweep
+
+    check_folder(out)
+    with _counting("checking the cases", "simulated") as progress:
+        summary = run_sweep(scenario, read_sweep(sweep), out, scheduler, progress)
+    failed = int((summary["error"] != "").sum())
+    result = {"cases": len(summary), "failed": failed, "summary": str(out / SUMMARY)}
+    if as_json:
+        _print_json(result)
+        return
+    print(f"{len(summary)} cases in {out}, summary in {out / SUMMARY}")
+    if failed:
+        print(f"{failed} could not be simulated: see the column 'error' of the summary")
+
+
+@app.command(epilog="Example: omnislip export run.csv run.mcap")
+def export(
+    log: Annotated[Path, typer.Argument(help="Log to read (.csv or .parquet).")],
+    out: Annotated[Path, typer.Argument(help="File to write (.mcap, .csv or .parquet).")],
+) -> None:
+    """Turn a log into another file format, such as MCAP for PlotJuggler and Foxglove."""
+    from omnislip.log_file import read_log
+
+    _check_written_log(out)
+    read = read_log(log, kind=None)
+    _write_log(read, out)
+    print(f"{len(read.t_s)} rows in {out}")
 
 
 @app.command(epilog="Example: omnislip paper --out build/paper")
@@ -133,6 +215,52 @@ def main() -> None:
     except InputError as error:
         print(f"omnislip: error: {error}", file=sys.stderr)
         sys.exit(2)
+
+
+def _check_written_log(path: Path) -> None:
+    from omnislip.log_file import LOG_SUFFIXES, check_log_path
+
+    check_log_path(path, (*LOG_SUFFIXES, ".mcap"))
+
+
+def _write_log(log: "Log", path: Path) -> None:
+    from omnislip.log_file import write_log
+    from omnislip.mcap_export import write_mcap
+
+    if path.suffix == ".mcap":
+        write_mcap(log, path, lambda rows: _progress(rows, str(path)))
+    else:
+        write_log(log, path)
+
+
+@contextmanager
+def _counting(before: str, what: str) -> Iterator[Callable[[int, int], None]]:
+    """Show on stderr how much of the work is done; lines every few seconds if it is no terminal."""
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    bar = Progress(*columns, TimeRemainingColumn(), console=console, transient=True)
+    last_line_s = time.monotonic()
+
+    def show(done: int, total: int) -> None:
+        nonlocal last_line_s
+        bar.update(task, description=what, completed=done, total=total)
+        if not console.is_terminal and time.monotonic() - last_line_s > SECONDS_PER_LINE:
+            last_line_s = time.monotonic()
+            print(f"{done} of {total} {what}", file=sys.stderr)
+
+    task = bar.add_task(before, total=None)
+    if console.is_terminal:
+        bar.start()
+    try:
+        yield show
+    finally:
+        if console.is_terminal:
+            bar.stop()
+
+
+def _finite_or_none(numbers: dict[str, float]) -> dict[str, float | None]:
+    """JSON has no NaN."""
+    return {name: value if math.isfinite(value) else None for name, value in numbers.items()}
 
 
 def _progress(items: list[Item], what: str) -> Iterable[Item]:

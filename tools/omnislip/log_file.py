@@ -25,6 +25,7 @@ from omnislip.files import check_known, replace_file
 Array = npt.NDArray[np.float64]
 Locate = Callable[[int], str]
 
+LOG_SUFFIXES = (".csv", ".parquet")
 POSE_COLUMNS = ["pose/x_m", "pose/y_m", "pose/theta_rad"]
 ROBOT_REQUIRED = [f"wheel/{w}/{q}" for w in range(1, 5) for q in ("duty", "encoder_counts")]
 ROBOT_OPTIONAL = [
@@ -48,10 +49,11 @@ class Log:
     columns: dict[str, Array]
 
 
-def read_log(path: Path | str, kind: str) -> Log:
+def read_log(path: Path | str, kind: str | None) -> Log:
     """Read and check a .csv or .parquet log for a model of `kind` robot, axis or odometry.
 
-    InputError names the file, the line (for .parquet the row, first row 1) and what would be right.
+    None: the kind that the columns speak of. InputError names the file, the line (for .parquet the
+    row, first row 1) and what would be right.
     """
     path = Path(path)
     suffix = check_log_path(path)
@@ -66,6 +68,7 @@ def read_log(path: Path | str, kind: str) -> Log:
     except (UnicodeDecodeError, ValueError) as error:
         # pandas and pyarrow say in the first line what they met and where.
         raise InputError(f"{path}: not a {suffix} log: {str(error).splitlines()[0]}") from None
+    kind = kind or _kind_of(list(frame.columns))
     first_row, unit = (2, "line") if suffix == ".csv" else (1, "row")
 
     def locate(index: int) -> str:
@@ -105,10 +108,11 @@ def log_frame(log: Log) -> pd.DataFrame:
     return frame
 
 
-def check_log_path(path: Path) -> str:
-    """Return the suffix of a log file, .csv or .parquet; InputError for any other."""
-    if path.suffix not in (".csv", ".parquet"):
-        raise InputError(f"{path}: a log file must end in .csv or .parquet")
+def check_log_path(path: Path, suffixes: tuple[str, ...] = LOG_SUFFIXES) -> str:
+    """Return the suffix of a log file; InputError unless it is one of `suffixes`."""
+    if path.suffix not in suffixes:
+        *others, last = suffixes
+        raise InputError(f"{path}: a log file must end in {', '.join(others)} or {last}")
     return path.suffix
 
 
@@ -141,6 +145,12 @@ def _check_columns(names: list[str], kind: str, path: Path) -> tuple[list[str], 
     if missing:
         raise InputError(f"{path}: missing columns for kind '{kind}': {', '.join(missing)}")
     return ["t_s", *required], sampled
+
+
+def _kind_of(names: list[str]) -> str:
+    if "axis/command" in names:
+        return "axis"
+    return "robot" if "wheel/1/duty" in names else "odometry"
 
 
 def _columns_of_kind(kind: str, names: list[str]) -> tuple[list[str], list[str], list[str]]:
