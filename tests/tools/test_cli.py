@@ -5,7 +5,9 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pandas as pd
 import pytest
+from mcap.reader import make_reader
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 SHORT = "[scenario]\nduration_s = 0.5\n[[command]]\nt_s = 0.0\nvelocity = [0.5, 0.0, 0.0]\n"
@@ -37,6 +39,44 @@ def test_simulate_json(omnislip, short, tmp_path):
     assert 0 < result["final_pose"]["x_m"] < 0.25
 
 
+def test_simulate_writes_mcap_with_the_truth(omnislip, short, tmp_path):
+    assert omnislip("simulate", short, "--out", tmp_path / "run.mcap").status == 0
+    with (tmp_path / "run.mcap").open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    topics = {channel.topic for channel in summary.channels.values()}
+    assert {"/wheel/1", "/gyro", "/tf", "/truth/pose", "/truth/wheel/4"} <= topics
+    # 100 rows of 5 ms; the camera shows every fourth.
+    counts = {
+        channel.topic: summary.statistics.channel_message_counts[channel.id]
+        for channel in summary.channels.values()
+    }
+    assert (counts["/wheel/1"], counts["/pose"]) == (100, 25)
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".parquet"])
+def test_export(suffix, omnislip, short, tmp_path):
+    log, out = tmp_path / "run.csv", tmp_path / f"out{suffix}"
+    omnislip("simulate", short, "--out", log)
+    ended = omnislip("export", log, out)
+    assert (ended.status, ended.stdout) == (0, f"100 rows in {out}\n")
+    assert out.stat().st_size > 1000
+
+
+SWEEP = '[sweep]\nkind = "grid"\n[vary]\nrobot.mass_kg = [18.0, 22.0]\n'
+
+
+def test_sweep(omnislip, short, write, tmp_path):
+    sweep, out = write("sweep.toml", SWEEP), tmp_path / "out"
+    ended = omnislip("simulate", short, "--sweep", sweep, "--out", out)
+    assert ended.status == 0
+    assert f"2 cases in {out}" in ended.stdout
+    assert pd.read_parquet(out / "summary.parquet")["robot.mass_kg"].tolist() == [18.0, 22.0]
+    result = json.loads(
+        omnislip("simulate", short, "--sweep", sweep, "--out", out, "--json").stdout
+    )
+    assert result == {"cases": 2, "failed": 0, "summary": str(out / "summary.parquet")}
+
+
 def test_import_emps_without_data(omnislip, tmp_path):
     out = tmp_path / "out"
     ended = omnislip("import", "emps", "--data", tmp_path, "--out", out)
@@ -48,12 +88,30 @@ def test_import_emps_without_data(omnislip, tmp_path):
 
 BAD_CALLS = {
     "no scenario": (["simulate", "none.toml", "--out", "run.csv"], "none.toml: cannot be read"),
-    "bad log name": (["simulate", "short.toml", "--out", "run.txt"], ".csv or .parquet"),
+    "bad log name": (["simulate", "short.toml", "--out", "run.txt"], ".csv, .parquet or .mcap"),
     "bad figure name": (
         ["simulate", "short.toml", "--out", "run.csv", "--plot", "run.gif"],
         "run.gif: a figure must end in",
     ),
     "bad scenario": (["simulate", "bad.toml", "--out", "run.csv"], "bad.toml: unknown table"),
+    "bad sweep": (
+        ["simulate", "short.toml", "--sweep", "bad.toml", "--out", "out"],
+        "bad.toml: unknown table 'scene'",
+    ),
+    "scheduler alone": (
+        ["simulate", "short.toml", "--scheduler", "tcp://127.0.0.1:1", "--out", "run.csv"],
+        "--scheduler: goes with --sweep",
+    ),
+    "figure of a sweep": (
+        ["simulate", "short.toml", "--sweep", "bad.toml", "--plot", "run.png", "--out", "out"],
+        "--plot: goes with a single run",
+    ),
+    "sweep into a file": (
+        ["simulate", "short.toml", "--sweep", "bad.toml", "--out", "file/out"],
+        "file/out: cannot write there",
+    ),
+    "export of no log": (["export", "short.toml", "run.mcap"], "short.toml: a log file must end"),
+    "export to no log": (["export", "run.csv", "run.txt"], ".csv, .parquet or .mcap"),
     "locked log": (["simulate", "short.toml", "--out", "file/run.csv"], "file/run.csv: cannot"),
     "locked folder": (["paper", "--out", "file/folder"], "file/folder: folder cannot be made"),
 }
@@ -75,14 +133,14 @@ def test_bad_input_is_one_line_and_leaves_nothing(case, omnislip, short, write, 
     assert files_below(short.parent) == before
 
 
-COMMANDS = [[], ["simulate"], ["paper"], ["import"], ["import", "emps"], ["gap"]]
+COMMANDS = [[], ["simulate"], ["export"], ["paper"], ["import"], ["import", "emps"], ["gap"]]
 
 
 @pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
 def test_help_is_there_and_leaf_commands_give_an_example(command, omnislip):
     ended = omnislip(*command, "--help")
     assert ended.status == 0
-    leaf = command in (["simulate"], ["paper"], ["import", "emps"])
+    leaf = command in (["simulate"], ["export"], ["paper"], ["import", "emps"])
     assert ("Example: omnislip " + " ".join(command) in ended.stdout) == leaf
 
 

@@ -29,16 +29,6 @@ def double(case: dict) -> Outcome:
     return Outcome({"twice": twice, "third": case["number"] / 3}, {f"{twice}.txt": b"%d" % twice})
 
 
-@pytest.fixture(scope="module")
-def scheduler():
-    """Address of a cluster that somebody else has started."""
-    cluster = distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0"
-    )
-    with cluster:
-        yield cluster.scheduler_address
-
-
 def cases(folder: Path, count: int = 6, **last: object) -> dict[str, dict]:
     made = {f"case-{i}": {"number": i, "seen": str(folder / "seen.txt")} for i in range(count)}
     made[f"case-{count - 1}"] |= last

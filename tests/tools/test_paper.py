@@ -78,6 +78,7 @@ def test_experiment_leaves_figures_logs_and_json(experiment):
         "paper.json",
         "plain_1850_mm.csv",
         "plain_2350_mm.csv",
+        "push.gif",
         "same_impact.png",
         "slip_1850_mm.csv",
         "slip_2350_mm.csv",

@@ -196,6 +196,12 @@ def test_slip_compensation_reaches_the_firmware():
     assert believed_y_m[0] != believed_y_m[1]
 
 
+def test_a_command_the_firmware_cannot_hold_is_bad_input():
+    fast = {"t_s": 0.0, "kind": "velocity", "value": [40.0, 0.0, 0.0]}
+    with pytest.raises(InputError, match="scenario 'test': a velocity is out of the firmware's"):
+        run_scenario(scenario(commands=[fast]))
+
+
 def test_a_robot_the_firmware_cannot_hold_is_bad_input():
     model = scenario().model
     huge = replace(model, values=model.values | {"robot.wheel_distance_m": 1e6})

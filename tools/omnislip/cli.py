@@ -169,7 +169,7 @@ def paper(
         _print_json(result)
         return
     _print_paper(result)
-    print(f"in {out}: figure_6.png, same_impact.png, sweep.png, paper.json, four logs")
+    print(f"in {out}: figure_6.png, same_impact.png, sweep.png, push.gif, paper.json, four logs")
 
 
 @app.command(epilog="Example: omnislip gains robot.toml")

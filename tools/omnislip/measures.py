@@ -35,7 +35,7 @@ MIN_DISTANCE_M = 0.05
 def measure(scenario: Scenario, truth: dict[str, Array]) -> dict[str, float]:
     """Return the numbers named above of the 1 kHz arrays `truth` of `scenario`."""
     lateral_m, overshoot = _follow(scenario, truth)
-    remaining = lateral_m[-round(REMAINING_S * CONTROL_RATE_HZ) :]
+    remaining = lateral_m[truth["t_s"] >= truth["t_s"][-1] - REMAINING_S]
     power_w = truth["supply_v"] * (truth["duty"] * truth["current_a"]).sum(axis=1)
     off_m = truth["odometry"][-1, :2] - truth["pose"][-1, :2]
     final = dict(zip(("final_x_m", "final_y_m", "final_theta_rad"), truth["pose"][-1], strict=True))

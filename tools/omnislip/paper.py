@@ -21,6 +21,7 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 
 from omnislip import plots
+from omnislip.animation import Take, write_film
 from omnislip.files import write_text
 from omnislip.log_file import write_log
 from omnislip.model_file import NOMINAL_ROBOT, Model, read_model
@@ -87,6 +88,7 @@ def run_experiment(cases: Iterable[Case], out: Path) -> dict[str, object]:
     plot_figure_6(references, out / "figure_6.png")
     plot_same_impact(references, out / "same_impact.png")
     plot_sweep(outcomes, out / "sweep.png")
+    film_push(references, model, out / "push.gif")
     result = {
         "schema": "omnislip-paper/1",
         "speed_m_s": SPEED_M_S,
@@ -200,6 +202,21 @@ def plot_same_impact(references: dict[Case, dict[str, Array]], path: Path) -> No
         axis.set_title(title, loc="left")
         axis.legend(frameon=False)
     plots.save_figure(figure, path)
+
+
+def film_push(references: dict[Case, dict[str, Array]], model: Model, path: Path) -> None:
+    """Film both controllers side by side under the same impact, where (a) has it."""
+    impact_x_m = IMPACT_X_M["a"]
+    takes = tuple(
+        Take(
+            f"control {CONTROLLER_LABELS[controller]}",
+            CONTROLLER_COLOURS[controller],
+            references[Case(controller, impact_x_m, REFERENCE_IMPULSE_N_S)],
+        )
+        for controller in CONTROLLERS
+    )
+    title = f"a push of {REFERENCE_IMPULSE_N_S:g} N s; wheels turn red where they slip"
+    write_film(takes, model, impact_x_m, title, path)
 
 
 def plot_sweep(outcomes: list[Outcome], path: Path) -> None:

@@ -30,7 +30,7 @@ class Run:
 
 
 def run_scenario(scenario: Scenario, on_board: bool = False) -> Run:
-    """Simulate `scenario`. InputError if its robot cannot be given to the firmware.
+    """Simulate `scenario`. InputError if the firmware cannot hold its robot or its commands.
 
     on_board: the firmware reaches the plant through the drivers on the virtual LF2407A.
     """
@@ -48,18 +48,21 @@ def simulate_truth(scenario: Scenario, on_board: bool = False) -> dict[str, Arra
     raw_parameters["slip_compensation"] = int(scenario.slip_compensation)
     sensors = scenario.sensors
     ticks = round(scenario.duration_s * CONTROL_RATE_HZ)
-    return _core.simulate(
-        parameters,
-        effects,
-        raw_parameters,
-        scenario.commands,
-        scenario.impulses,
-        scenario.duration_s,
-        on_board=on_board,
-        encoder_start_counts=sensors.encoder_start_counts,
-        supply_error_v=_supply_error_v(scenario, ticks),
-        supply_resolution_v=sensors.supply_resolution_v,
-    )
+    try:
+        return _core.simulate(
+            parameters,
+            effects,
+            raw_parameters,
+            scenario.commands,
+            scenario.impulses,
+            scenario.duration_s,
+            on_board=on_board,
+            encoder_start_counts=sensors.encoder_start_counts,
+            supply_error_v=_supply_error_v(scenario, ticks),
+            supply_resolution_v=sensors.supply_resolution_v,
+        )
+    except ValueError as error:
+        raise InputError(f"scenario '{scenario.name}': {error}") from None
 
 
 def make_log(scenario: Scenario, truth: dict[str, Array]) -> Log:

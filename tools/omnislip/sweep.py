@@ -155,7 +155,7 @@ def simulate_case(case: Tables) -> Outcome:
         scenario = build_scenario(case)
         truth = simulate_truth(scenario)
         log = make_log(scenario, truth)
-    except (InputError, ValueError) as error:  # ValueError: what firmware or plant refuse
+    except InputError as error:
         return Outcome({"error": str(error)})
     content = io.BytesIO()
     log_frame(log).to_parquet(content, index=False)
