@@ -17,8 +17,9 @@ A key is the place in the file it belongs to: tables scenario, log, sensors, com
 those of the scenario, all others those of its model file. Commands, impacts, wheels and other
 elements of lists are numbered from 1; those of velocity, pose and arrival_velocity have the names
 given in scenario.py. An effect is varied as effects.NAME.PARAMETER, of one wheel as
-effects.NAME.wheel_2.PARAMETER; one that the model lacks is added. Draws of a key depend on seed and
-key alone: more cases or other keys leave them as they are.
+effects.NAME.wheel_2.PARAMETER; one that the model lacks is added. The firmware is set for the
+varied values of the robot; what it shall not know of is varied as an effect. Draws of a key depend
+on seed and key alone: more cases or other keys leave them as they are.
 
 Results in the folder: summary.parquet, one row per case: case (from 1), log, the varied keys, the
 numbers of measures.py, error (why a case could not be simulated; its numbers are then blank);
