@@ -16,6 +16,7 @@ import itertools
 import json
 import logging
 import os
+import signal
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -189,15 +190,7 @@ def _client(scheduler: str | None, case_count: int) -> Iterator[distributed.Clie
     for name in ("distributed", "distributed.client"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
     if scheduler is None:
-        cores = len(os.sched_getaffinity(0))
-        cluster = distributed.LocalCluster(
-            n_workers=min(cores, case_count),
-            threads_per_worker=1,
-            dashboard_address="127.0.0.1:0",
-            memory_limit=None,
-            silence_logs=logging.CRITICAL,  # of the processes it starts
-        )
-        with cluster, distributed.Client(cluster) as client:
+        with _local_cluster(case_count) as cluster, distributed.Client(cluster) as client:
             yield client
         return
     try:
@@ -215,3 +208,19 @@ def _client(scheduler: str | None, case_count: int) -> Iterator[distributed.Clie
                 f"{scheduler}: the scheduler has no workers; 'dask worker {scheduler}' adds one"
             ) from None
         yield client
+
+
+def _local_cluster(case_count: int) -> distributed.LocalCluster:
+    # Ctrl-C goes to every process of the terminal. The workers, which inherit that it is ignored,
+    # leave the ending to this one.
+    at_interrupt = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        return distributed.LocalCluster(
+            n_workers=min(len(os.sched_getaffinity(0)), case_count),
+            threads_per_worker=1,
+            dashboard_address="127.0.0.1:0",
+            memory_limit=None,
+            silence_logs=logging.CRITICAL,  # of the processes it starts
+        )
+    finally:
+        signal.signal(signal.SIGINT, at_interrupt)
