@@ -212,7 +212,8 @@ def _client(scheduler: str | None, case_count: int) -> Iterator[distributed.Clie
 
 def _local_cluster(case_count: int) -> distributed.LocalCluster:
     # Ctrl-C goes to every process of the terminal. The workers, which inherit that it is ignored,
-    # leave the ending to this one.
+    # leave the ending to this one; the price is that it goes unheard in the second they take to
+    # start.
     at_interrupt = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         return distributed.LocalCluster(
