@@ -298,7 +298,4 @@ void link_init(link_state *link, const link_parts *parts) {
     link->parts = *parts;
     frame_reader_reset(&link->reader);
     link->known = 0;
-    link->last_sequence = 0;
-    link->last_crc = 0;
-    link->last_result = LINK_RESULT_ACCEPTED;
 }

@@ -137,7 +137,6 @@ void parameter_store_load(parameter_store *store) {
 void parameter_store_start(parameter_store *store, parameters *p) {
     u16 calls;
     store->table = parameters_fingerprint();
-    store->count = 0;
     store->sequence[0] = 0;
     store->sequence[1] = 0;
     parameter_store_load(store);

@@ -87,6 +87,7 @@ void robot_bench_reset(robot_bench *bench) {
                                   .service_watchdog = service_watchdog,
                                   .read_tick_overruns = read_overruns};
     memset(bench, 0, sizeof *bench);
+    memset(&bench->r, 0xA5, sizeof bench->r); /* memory after a reset holds anything */
     hal_host_store_blank(&bench->store, 5);
     bench->supply_mv = 24000;
     bench->line_bytes_per_tick = 11.52;

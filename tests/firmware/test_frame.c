@@ -144,6 +144,23 @@ static void longer_frames_than_the_reader_holds_are_broken(void) {
     TEST_ASSERT_EQUAL(FRAME_WHOLE, receive(&reader, frame.byte, frame.length));
 }
 
+/* Whatever the reader keeps of it: here that alone would be a valid frame. */
+static void a_longer_frame_is_not_taken_for_its_beginning(void) {
+    frame_reader reader;
+    frame_writer frame;
+    u16 content[FRAME_RECEIVE_MAX + 4] = {0};
+    u16 crc = FRAME_CRC_START;
+    for (int i = 0; i < FRAME_RECEIVE_MAX; i++)
+        crc = frame_crc(crc, content[i]);
+    content[FRAME_RECEIVE_MAX] = crc & 0xFF;
+    content[FRAME_RECEIVE_MAX + 1] = crc >> 8;
+    frame_reader_reset(&reader);
+    build(&frame, content, FRAME_RECEIVE_MAX + 4);
+    TEST_ASSERT_EQUAL(FRAME_BROKEN, receive(&reader, frame.byte, frame.length));
+    build(&frame, content, FRAME_RECEIVE_MAX);
+    TEST_ASSERT_EQUAL(FRAME_WHOLE, receive(&reader, frame.byte, frame.length));
+}
+
 static void endless_bytes_without_a_delimiter_do_no_harm(void) {
     frame_reader reader;
     frame_reader_reset(&reader);
@@ -177,6 +194,14 @@ static int whole_frames(const u16 *wire, u16 length) {
     for (u16 i = 0; i < length; i++)
         whole += frame_receive(&reader, wire[i]) == FRAME_WHOLE;
     return whole;
+}
+
+static void a_byte_has_eight_bits(void) {
+    frame_writer frame;
+    build(&frame, sample, SAMPLE_LENGTH);
+    for (u16 i = 0; i < frame.length; i++)
+        frame.byte[i] |= 0xA500;
+    TEST_ASSERT_EQUAL_INT(1, whole_frames(frame.byte, frame.length));
 }
 
 static void every_damaged_byte_is_found(void) {
@@ -245,8 +270,10 @@ int main(void) {
     RUN_TEST(any_content_comes_through);
     RUN_TEST(content_that_does_not_fit_is_not_sent);
     RUN_TEST(longer_frames_than_the_reader_holds_are_broken);
+    RUN_TEST(a_longer_frame_is_not_taken_for_its_beginning);
     RUN_TEST(endless_bytes_without_a_delimiter_do_no_harm);
     RUN_TEST(empty_frames_are_nothing);
+    RUN_TEST(a_byte_has_eight_bits);
     RUN_TEST(every_damaged_byte_is_found);
     RUN_TEST(every_lost_or_doubled_byte_is_found);
     RUN_TEST(a_frame_cut_short_does_not_harm_the_next);

