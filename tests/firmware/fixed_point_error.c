@@ -200,6 +200,7 @@ static void contact(void) {
     const double grip_n = 1.0 / real(PARAMETER_ID_grip_inverse_q17, 17);
     const double per_tangent = real(PARAMETER_ID_slip_per_tangent_q18, 18);
     double slip = 0.0, roller = 0.0;
+    parameters_set(&p, PARAMETER_ID_slip_saturation_q15, 31457); /* 0.96 */
     for (i16 force = -7232; force <= 7232; force++) {
         const double exact =
             tan(REFERENCE_PI / 2.0 * force / 256.0 / grip_n) * per_tangent * 8192.0;

@@ -22,6 +22,9 @@ the 2.5 ms of delay of speed window and hold. The plant is of first order, so th
 is 0. The position loops run at 0.4 p and 0.5 p. Demanded accelerations use half of the grip,
 corrections up to 0.7 of it.
 
+Observer: an error of 1 % of the grip is an error of 14 % of the slip at 0.93 of the grip, of 25 %
+at 0.96; the inversion ends at 0.93. Larger gains than 0.4 follow an impact no better.
+
 Faults: no wheel load takes four times the current of the full grip for long; an unloaded shaft
 cannot turn faster than its supply, with half as much again for a push from outside.
 """
@@ -38,7 +41,7 @@ SPEED_LIMIT_M_S = 2.5
 OMEGA_LIMIT_RAD_S = 10.0
 ACCELERATION_GRIP_SHARE = 0.5
 TRACTION_GRIP_SHARE = 0.7
-SLIP_SATURATION = 0.96
+SLIP_SATURATION = 0.93
 OUTSIDE_POSE_GAIN = 0.25
 CURRENT_LIMIT_GRIPS = 4.0
 SHAFT_SPEED_LIMIT_NO_LOADS = 1.5
@@ -153,7 +156,7 @@ def _observer() -> dict[str, float]:
     return {
         "slip_compensation": 1.0,
         "force_filter_q15": 0.25,
-        "observer_gain_q15": 0.2,
+        "observer_gain_q15": 0.4,
         "trust_floor_q15": 0.5,
     }
 
