@@ -189,6 +189,24 @@ def gains(
     _print_gains(found)
 
 
+@app.command(epilog="Example: omnislip figures --out build/figures")
+def figures(
+    out: Annotated[Path, typer.Option(help="Folder for figures.json.")],
+    as_json: Json = False,
+) -> None:
+    """Measure the firmware: impacts, odometry, step responses, stopping on low grip."""
+    from omnislip.firmware_figures import all_cases, run_figures, tables
+
+    _check_folder(out)
+    result = run_figures(_progress(all_cases(), "firmware figures"), out)
+    if as_json:
+        _print_json(result)
+        return
+    for title, rows in tables(result):
+        _print_rows(title, rows)
+    print(f"in {out}: figures.json")
+
+
 @import_app.command(epilog="Example: omnislip import emps --out build/emps")
 def emps(
     out: Annotated[Path, typer.Option(help="Folder for train.csv, test.csv and emps.toml.")],
@@ -277,6 +295,17 @@ def _check_folder(path: Path) -> None:
 
 def _print_json(result: dict[str, Any]) -> None:
     print(json.dumps(result, indent=1))
+
+
+def _print_rows(title: str, rows: list[dict[str, Any]]) -> None:
+    """Print rows with the same keys; the first word of a key stands above the others."""
+    table = Table(title=title)
+    for key in rows[0]:
+        table.add_column(key.replace("_", "\n"), justify="right")
+    for row in rows:
+        cells = (f"{cell:.1f}" if isinstance(cell, float) else str(cell) for cell in row.values())
+        table.add_row(*cells)
+    Console().print(table)
 
 
 def _print_gains(found: dict[str, Any]) -> None:
