@@ -51,7 +51,7 @@ class AxisPlant {
     static constexpr int kBase = static_cast<int>(sizeof(kAxisBase) / sizeof(kAxisBase[0]));
     static constexpr Kind kKind = kAxis;
 
-    void prepare(const S *flat, const bool *active) {
+    void prepare(const S *flat, const bool *active, const UserTermList &terms = {}) {
         effects_ = flat + kBase;
         hooks_ = 0;
         c_.mass_kg = flat[0];
@@ -71,6 +71,7 @@ class AxisPlant {
                 E::prepare(c_, values<E>(slot));
             }
         });
+        hooks_ |= user_.prepare(terms, effects_ + effect_slot_count(kMotors));
         inertia_ = c_.mass_kg + c_.inertia_kg_m2;
         gravity_torque_ = flat[4] * flat[5] * flat[6];
         gear_.prepare(c_.play_rad[0], c_.stiffness_nm_rad[0], c_.damping_nm_s_rad[0], inertia_);
@@ -88,6 +89,11 @@ class AxisPlant {
             E::command(term, values<E>(slot));
         });
         step.command = term.duty[0];
+        if (hooks_ & kCommand) {
+            UserInputs<S> inputs;
+            inputs.at[kInD] = term.duty;
+            user_.add(UserTarget::kDuty, inputs, 1, &step.command);
+        }
         if (!remembers_)
             return;
         step.length_s = length_s;
@@ -99,10 +105,11 @@ class AxisPlant {
     }
 
     /* dx [kStates], with memory [kAll]. */
-    void derivative(const S *x, const Step &step, const S &, S *dx, AxisInternals<S> &in) const {
+    void derivative(const S *x, const Step &step, const S &time_s, S *dx,
+                    AxisInternals<S> &in) const {
         using std::sin;
         in.force = input_gain_ * step.command;
-        in.friction = friction(x, in.force);
+        in.friction = friction(x, in.force, time_s);
         dx[0] = (in.force + in.friction - gravity_torque_ * sin(x[1])) / inertia_;
         dx[1] = x[0];
         if (!remembers_)
@@ -120,7 +127,8 @@ class AxisPlant {
     double fastest_rate_1_s() const {
         S moving[2] = {S(1e-3) * c_.friction_speed, S(0.0)};
         S still[2] = {S(0.0), S(0.0)};
-        const S slope = (friction(still, S(0.0)) - friction(moving, S(0.0))) / moving[0];
+        const S none = S(0.0);
+        const S slope = (friction(still, none, none) - friction(moving, none, none)) / moving[0];
         const S rate = slope / inertia_ + gear_.rate_1_s();
         double worst = 0.0;
         for (int i = 0; i < LaneCount<S>::value; ++i)
@@ -169,7 +177,7 @@ class AxisPlant {
         });
     }
 
-    S friction(const S *x, const S &motor_force) const {
+    S friction(const S *x, const S &motor_force, const S &time_s) const {
         using std::tanh;
         S total = -c_.viscous_friction_nm_s[0] * x[0];
         if (!(hooks_ & kShaft))
@@ -184,6 +192,12 @@ class AxisPlant {
             using E = decltype(effect);
             E::shaft(term, values<E>(slot));
         });
+        UserInputs<S> inputs;
+        inputs.at[kInW] = x;
+        inputs.at[kInThM] = x + 1;
+        inputs.at[kInTau] = &motor_force;
+        inputs.at[kInT] = &time_s;
+        user_.add(UserTarget::kShaftTorque, inputs, 1, term.torque_nm);
         return total + term.torque_nm[0];
     }
 
@@ -192,6 +206,7 @@ class AxisPlant {
     SoftGear<S> gear_;
     bool delays_ = false, remembers_ = false, soft_ = false;
     const S *effects_ = nullptr;
+    UserTerms<S, 1> user_;
     bool active_[kEffectCount] = {};
     unsigned hooks_ = 0;
 };

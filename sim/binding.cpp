@@ -7,6 +7,7 @@
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 
+#include <algorithm>
 #include <array>
 #include <map>
 #include <stdexcept>
@@ -120,11 +121,78 @@ nb::list base_parameters(const std::string &kind) {
     return base_list(kAxisBase);
 }
 
+/* ------------------------------------------------------------------ effects of the user */
+
+template <std::size_t Count>
+int index_of(const char *const (&names)[Count], const std::string &name) {
+    for (std::size_t i = 0; i < Count; ++i) {
+        if (name == names[i])
+            return static_cast<int>(i);
+    }
+    throw std::invalid_argument("unknown name '" + name + "' in a user's effect");
+}
+
+/* Checks that the program keeps within the stack and ends with one value on it. */
+void check_program(const UserTerm &term) {
+    int depth = 0, deepest = 0;
+    for (const UserInstruction &step : term.program) {
+        const bool pushes = step.operation <= UserOperation::kInput;
+        const bool one = !pushes && step.operation < UserOperation::kAdd;
+        const int taken = pushes ? 0 : one ? 1 : step.operation == UserOperation::kWhere ? 3 : 2;
+        require(depth >= taken, "a user's effect takes more values than there are");
+        depth += 1 - taken;
+        deepest = std::max(deepest, depth);
+        if (step.operation == UserOperation::kParameter)
+            require(step.argument < static_cast<int>(term.neutral.size()), "no such parameter");
+    }
+    require(depth == 1 && deepest <= kUserStack, "a user's effect is nested too deeply");
+}
+
+UserTerm to_user_term(const nb::dict &given, int motors) {
+    UserTerm term;
+    term.target =
+        static_cast<UserTarget>(index_of(kUserTargets, nb::cast<std::string>(given["adds_to"])));
+    term.stride = nb::cast<bool>(given["per_wheel"]) ? motors : 1;
+    for (nb::handle parameter : nb::cast<nb::list>(given["parameters"]))
+        term.neutral.push_back(nb::cast<double>(nb::cast<nb::dict>(parameter)["neutral"]));
+    for (nb::handle item : nb::cast<nb::list>(given["program"])) {
+        const nb::tuple step = nb::cast<nb::tuple>(item);
+        UserInstruction instruction{};
+        instruction.operation =
+            static_cast<UserOperation>(index_of(kUserOperations, nb::cast<std::string>(step[0])));
+        if (instruction.operation == UserOperation::kConstant) {
+            instruction.constant = nb::cast<double>(step[1]);
+        } else if (instruction.operation == UserOperation::kInput) {
+            instruction.argument = index_of(kUserInputs, nb::cast<std::string>(step[1]));
+        } else if (instruction.operation == UserOperation::kParameter ||
+                   instruction.operation == UserOperation::kIntegerPower) {
+            instruction.argument = nb::cast<int>(step[1]);
+        }
+        term.program.push_back(instruction);
+    }
+    check_program(term);
+    return term;
+}
+
+std::vector<UserTerm> to_user_terms(const nb::list &given, int motors) {
+    require(given.size() <= kMaxUserTerms, "too many effects of the user");
+    std::vector<UserTerm> terms;
+    for (nb::handle item : given)
+        terms.push_back(to_user_term(nb::cast<nb::dict>(item), motors));
+    return terms;
+}
+
+UserTermList list_of(const std::vector<UserTerm> &terms) {
+    return {terms.data(), static_cast<int>(terms.size())};
+}
+
 class Engine {
   public:
-    Engine(const std::string &kind, int widest_lanes) {
+    Engine(const std::string &kind, int widest_lanes, const nb::list &user_effects) {
         require(kind == "robot" || kind == "axis", "kind must be 'robot' or 'axis'");
-        kernel_ = make_kernel(kind == "robot" ? 0 : 1, widest_lanes);
+        terms_ = to_user_terms(user_effects, kind == "robot" ? RobotLayout::kMotors : 1);
+        kernel_ = make_kernel(kind == "robot" ? 0 : 1, widest_lanes, list_of(terms_));
+        require(kernel_->parameters() <= kMaxParameters, "too many parameters of user effects");
     }
 
     const Kernel &kernel() const {
@@ -234,6 +302,7 @@ class Engine {
         return arrays;
     }
 
+    std::vector<UserTerm> terms_;
     std::unique_ptr<Kernel> kernel_;
 };
 
@@ -249,47 +318,61 @@ int base_index(const std::string &name) {
     throw std::invalid_argument("unknown parameter '" + name + "'");
 }
 
+/* Where the parameters of an effect stand in the flat values. */
+struct Place {
+    int first, stride;
+    std::vector<std::string> parameters;
+};
+using Places = std::map<std::string, Place>;
+
+Places places_of(const std::vector<UserTerm> &terms, const nb::list &user_effects) {
+    Places places;
+    for_each_effect(RobotLayout::kMotors, [&](auto effect, int, int slot) {
+        using E = decltype(effect);
+        Place place{RobotLayout::kBase + slot, effect_stride(E::info, RobotLayout::kMotors), {}};
+        for (int k = 0; k < E::info.parameter_count; ++k)
+            place.parameters.emplace_back(E::info.parameters[k].name);
+        places[E::info.name] = place;
+    });
+    int first = RobotLayout::kBase + effect_slot_count(RobotLayout::kMotors);
+    for (std::size_t k = 0; k < terms.size(); ++k) {
+        const nb::dict given = nb::cast<nb::dict>(user_effects[k]);
+        Place place{first, terms[k].stride, {}};
+        for (nb::handle item : nb::cast<nb::list>(given["parameters"]))
+            place.parameters.push_back(nb::cast<std::string>(nb::cast<nb::dict>(item)["name"]));
+        places[nb::cast<std::string>(given["name"])] = place;
+        first += terms[k].slots();
+    }
+    return places;
+}
+
 /* Sets one effect of a model in the flat values; parameters that are not named keep theirs. */
-void set_effect(const nb::dict &given, std::vector<double> &values) {
+void set_effect(const nb::dict &given, const Places &places, std::vector<double> &values) {
     const std::string name = nb::cast<std::string>(given["name"]);
-    const Numbers numbers = nb::cast<Numbers>(given["parameters"]);
     const bool one_wheel = given.contains("wheel") && !given["wheel"].is_none();
     const int wheel = one_wheel ? nb::cast<int>(given["wheel"]) : 0;
     require(wheel >= 0 && wheel <= RobotLayout::kMotors, "wheel must be 1 to 4");
-    bool known = false;
-    for_each_effect(RobotLayout::kMotors, [&](auto effect, int, int slot) {
-        using E = decltype(effect);
-        if (name != E::info.name)
-            return;
-        known = true;
-        for (const auto &[given_name, value] : numbers) {
-            (void)value;
-            bool named = false;
-            for (int k = 0; k < E::info.parameter_count; ++k)
-                named = named || given_name == E::info.parameters[k].name;
-            if (!named) {
-                throw std::invalid_argument("unknown parameter '" + given_name + "' of effect '" +
-                                            name + "'");
-            }
-        }
-        const int stride = effect_stride(E::info, RobotLayout::kMotors);
-        for (int k = 0; k < E::info.parameter_count; ++k) {
-            const auto found = numbers.find(E::info.parameters[k].name);
-            if (found == numbers.end())
-                continue;
-            for (int i = 0; i < stride; ++i) {
-                if (wheel != 0 && stride > 1 && i != wheel - 1)
-                    continue;
-                values[static_cast<std::size_t>(RobotLayout::kBase + slot + k * stride + i)] =
-                    found->second;
-            }
-        }
-    });
-    if (!known)
+    const auto found = places.find(name);
+    if (found == places.end())
         throw std::invalid_argument("unknown effect '" + name + "'");
+    const Place &place = found->second;
+    for (const auto &[parameter, value] : nb::cast<Numbers>(given["parameters"])) {
+        const auto named = std::find(place.parameters.begin(), place.parameters.end(), parameter);
+        if (named == place.parameters.end()) {
+            throw std::invalid_argument("unknown parameter '" + parameter + "' of effect '" + name +
+                                        "'");
+        }
+        const int k = static_cast<int>(named - place.parameters.begin());
+        for (int i = 0; i < place.stride; ++i) {
+            if (wheel != 0 && place.stride > 1 && i != wheel - 1)
+                continue;
+            values[static_cast<std::size_t>(place.first + k * place.stride + i)] = value;
+        }
+    }
 }
 
-std::vector<double> robot_values(const Numbers &parameters, const nb::list &effects) {
+std::vector<double> robot_values(const Numbers &parameters, const nb::list &effects,
+                                 const std::vector<UserTerm> &terms, const nb::list &user_effects) {
     std::vector<double> values(
         static_cast<std::size_t>(RobotLayout::kBase + effect_slot_count(RobotLayout::kMotors)));
     for (int i = 0; i < RobotLayout::kBase; ++i) {
@@ -306,8 +389,13 @@ std::vector<double> robot_values(const Numbers &parameters, const nb::list &effe
                 E::info.parameters[k / stride].neutral;
         }
     });
+    for (const UserTerm &term : terms) {
+        for (const double neutral : term.neutral)
+            values.insert(values.end(), static_cast<std::size_t>(term.stride), neutral);
+    }
+    const Places places = places_of(terms, user_effects);
     for (nb::handle effect : effects)
-        set_effect(nb::cast<nb::dict>(effect), values);
+        set_effect(nb::cast<nb::dict>(effect), places, values);
     return values;
 }
 
@@ -395,7 +483,7 @@ nb::dict simulate(const Numbers &parameters, const nb::list &effects,
                   const nb::list &commands, const nb::list &impulses, double duration_s,
                   double step_s, const std::vector<double> &encoder_start_counts,
                   const std::optional<Array1> &supply_error_v, double supply_resolution_v,
-                  bool on_board) {
+                  bool on_board, const nb::list &user_effects) {
     require(duration_s > 0.0 && step_s > 0.0, "duration_s and step_s must be positive");
     std::vector<Command> command_list;
     for (nb::handle command : commands) {
@@ -405,7 +493,8 @@ nb::dict simulate(const Numbers &parameters, const nb::list &effects,
     for (nb::handle impulse : impulses) {
         impulse_list.push_back(to_impulse(nb::cast<nb::dict>(impulse)));
     }
-    const std::vector<double> values = robot_values(parameters, effects);
+    const std::vector<UserTerm> terms = to_user_terms(user_effects, RobotLayout::kMotors);
+    const std::vector<double> values = robot_values(parameters, effects, terms, user_effects);
     const std::vector<std::int32_t> firmware = firmware_values(firmware_parameters);
     const BoardSensors sensors =
         to_sensors(encoder_start_counts, supply_error_v, supply_resolution_v, duration_s);
@@ -413,7 +502,8 @@ nb::dict simulate(const Numbers &parameters, const nb::list &effects,
     {
         nb::gil_scoped_release release;
         log = run_closed_loop(values, firmware, command_list, impulse_list, duration_s, step_s,
-                              sensors, on_board ? Carrier::kBoard : Carrier::kPlant);
+                              sensors, on_board ? Carrier::kBoard : Carrier::kPlant,
+                              list_of(terms));
     }
     const std::size_t n = log.time_s.size();
     nb::dict result;
@@ -454,7 +544,8 @@ void bind_replay(nb::module_ &m) {
         .def_prop_ro("replay_variance",
                      [](const Track &t) { return copy_to_numpy(t.replay_variance); });
     nb::class_<Engine>(m, "Engine")
-        .def(nb::init<const std::string &, int>(), "kind"_a, "widest_lanes"_a = 8)
+        .def(nb::init<const std::string &, int, const nb::list &>(), "kind"_a, "widest_lanes"_a = 8,
+             "user_effects"_a = nb::list())
         .def_prop_ro("states", [](const Engine &e) { return e.kernel().states(); })
         .def_prop_ro("outputs", [](const Engine &e) { return e.kernel().outputs(); })
         .def_prop_ro("motors", [](const Engine &e) { return e.kernel().motors(); })
@@ -485,7 +576,7 @@ NB_MODULE(_core, m) {
     m.def("simulate", &omnislip::simulate, "parameters"_a, "effects"_a, "firmware_parameters"_a,
           "commands"_a, "impulses"_a, "duration_s"_a, "step_s"_a = 5e-4,
           "encoder_start_counts"_a = std::vector<double>(4, 0.0), "supply_error_v"_a = nb::none(),
-          "supply_resolution_v"_a = 1e-3, "on_board"_a = false,
+          "supply_resolution_v"_a = 1e-3, "on_board"_a = false, "user_effects"_a = nb::list(),
           "Firmware and plant in closed loop; arrays with one row per control tick of 1 ms. "
           "on_board: through the drivers on the virtual LF2407A instead of the stub HAL.");
     omnislip::bind_replay(m);

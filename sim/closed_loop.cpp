@@ -24,7 +24,8 @@ const char *const kParameterNames[] = {
 /* The plant as the board sees it: counters, supply, bridges. */
 class Robot {
   public:
-    Robot(const std::vector<double> &values, double step_s, const BoardSensors &sensors)
+    Robot(const std::vector<double> &values, const UserTermList &terms, double step_s,
+          const BoardSensors &sensors)
         : values_(values), sensors_(sensors), step_s_(step_s) {
         bool active[kEffectCount] = {};
         for_each_effect(RobotLayout::kMotors, [&](auto effect, int index, int slot) {
@@ -36,7 +37,7 @@ class Robot {
                 active[index] = active[index] || value != E::info.parameters[k / stride].neutral;
             }
         });
-        plant_.prepare(values_.data(), active);
+        plant_.prepare(values_.data(), active, terms);
         rate_1_s_ = plant_.fastest_rate_1_s();
         rad_per_count_ = 2.0 * kPi / values_[RobotLayout::kBase - 1];
         hold_duty(-kTick_s);
@@ -272,7 +273,8 @@ ClosedLoopLog run_closed_loop(const std::vector<double> &values,
                               const std::vector<std::int32_t> &firmware,
                               const std::vector<Command> &commands,
                               const std::vector<Impulse> &impulses, double duration_s,
-                              double step_s, const BoardSensors &sensors, Carrier carrier) {
+                              double step_s, const BoardSensors &sensors, Carrier carrier,
+                              const UserTermList &terms) {
     parameters settings;
     parameters_set_defaults(&settings);
     for (int id = 0; id < PARAMETER_COUNT; ++id) {
@@ -282,7 +284,7 @@ ClosedLoopLog run_closed_loop(const std::vector<double> &values,
                                         " is out of its range");
         }
     }
-    Robot robot(values, step_s, sensors);
+    Robot robot(values, terms, step_s, sensors);
     hal_host_plant hal = {};
     hal.context = &robot;
     hal.read_encoder_counts = read_counts;

@@ -12,6 +12,8 @@
 #include <cstdint>
 #include <vector>
 
+#include "user_terms.h"
+
 namespace omnislip {
 
 constexpr double kTick_s = 1e-3;
@@ -52,14 +54,15 @@ struct ClosedLoopLog {
 /* Control ticks of a run. */
 long closed_loop_ticks(double duration_s);
 
-/* `values`: parameter set of RobotPlant; `firmware`: raw value per parameter id, PARAMETER_COUNT of
- * them. Throws std::invalid_argument when the firmware refuses a parameter or a command. */
+/* `values`: parameter set of RobotPlant with the user's `terms`; `firmware`: raw value per
+ * parameter id, PARAMETER_COUNT of them. Throws std::invalid_argument when the firmware refuses a
+ * parameter or a command. */
 ClosedLoopLog run_closed_loop(const std::vector<double> &values,
                               const std::vector<std::int32_t> &firmware,
                               const std::vector<Command> &commands,
                               const std::vector<Impulse> &impulses, double duration_s,
                               double step_s, const BoardSensors &sensors = {},
-                              Carrier carrier = Carrier::kPlant);
+                              Carrier carrier = Carrier::kPlant, const UserTermList &terms = {});
 
 /* Name of the firmware parameter `id`. */
 const char *firmware_parameter_name(int id);

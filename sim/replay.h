@@ -24,10 +24,14 @@
 #include <memory>
 #include <vector>
 
+#include "user_terms.h"
+
 namespace omnislip {
 
 /* Replays start this long after the first row: until then the filter finds the initial state. */
 constexpr double kSettleTime_s = 0.25;
+/* Room for a parameter set, terms of the user included. */
+constexpr int kMaxParameters = 512;
 
 struct Recording {
     int rows = 0;
@@ -98,8 +102,9 @@ class Kernel {
                          int count, double step_s, double window_s, double *errors) const = 0;
 };
 
-/* Best kernel for this processor; kind 0 = robot, 1 = axis. `widest_lanes` bounds the width. */
-std::unique_ptr<Kernel> make_kernel(int kind, int widest_lanes);
+/* Best kernel for this processor; kind 0 = robot, 1 = axis. `widest_lanes` bounds the width.
+ * The terms must outlive the kernel. */
+std::unique_ptr<Kernel> make_kernel(int kind, int widest_lanes, const UserTermList &terms = {});
 
 Track track(const Kernel &kernel, const Recording &recording, const double *values,
             const Noise &noise, double step_s, double window_s, bool keep_linear);

@@ -30,7 +30,6 @@ class KernelOf final : public Kernel {
     static constexpr int kAll = Plant::kAll;
     static constexpr int kOutputs = Plant::kOutputs;
     static constexpr int kMotors = Plant::kMotors;
-    static constexpr int kMaxParameters = 400;
 
     /* A plant whose lanes hold the sets `values[0..count-1]` (the last one repeated). */
     struct Loaded {
@@ -38,7 +37,7 @@ class KernelOf final : public Kernel {
         Plant plant;
         double rate_1_s;
 
-        Loaded(const double *values, int count, int size) {
+        Loaded(const double *values, int count, int size, const UserTermList &terms) {
             alignas(64) double spread[kLanes];
             bool active[kEffectCount] = {};
             for (int p = 0; p < size; ++p) {
@@ -48,7 +47,7 @@ class KernelOf final : public Kernel {
                 flat[p] = S::load_aligned(spread);
             }
             mark_active(values, count, size, active);
-            plant.prepare(flat, active);
+            plant.prepare(flat, active, terms);
             rate_1_s = plant.fastest_rate_1_s();
         }
     };
@@ -131,11 +130,14 @@ class KernelOf final : public Kernel {
                 loaded.rate_1_s, in);
     }
 
-    static int total_parameters() {
-        return Plant::kBase + effect_slot_count(kMotors);
+    int total_parameters() const {
+        return Plant::kBase + effect_slot_count(kMotors) + terms_.slots();
     }
 
+    UserTermList terms_;
+
   public:
+    explicit KernelOf(const UserTermList &terms) : terms_(terms) {}
     int lanes() const override {
         return kLanes;
     }
@@ -159,7 +161,7 @@ class KernelOf final : public Kernel {
     }
 
     std::shared_ptr<const void> load(const double *values) const override {
-        return std::make_shared<const Loaded>(values, 1, total_parameters());
+        return std::make_shared<const Loaded>(values, 1, total_parameters(), terms_);
     }
 
     void settle(const void *loaded_set, const Recording &recording, double *state) const override {
@@ -230,7 +232,7 @@ class KernelOf final : public Kernel {
 
     void innovations(const Recording &recording, const Track &track, const double *values,
                      int count, double step_s, double *residuals) const override {
-        const Loaded loaded(values, count, total_parameters());
+        const Loaded loaded(values, count, total_parameters(), terms_);
         const long plane = static_cast<long>(recording.rows) * kOutputs;
         S x[kAll], innovation[kOutputs], white[kOutputs];
         Internals in;
@@ -255,7 +257,7 @@ class KernelOf final : public Kernel {
 
     void replays(const Recording &recording, const Track &track, const double *values, int count,
                  double step_s, double window_s, double *errors) const override {
-        const Loaded loaded(values, count, total_parameters());
+        const Loaded loaded(values, count, total_parameters(), terms_);
         const long plane = static_cast<long>(recording.rows) * kOutputs;
         S filtered[kAll], free[kAll], innovation[kOutputs], error[kOutputs];
         Internals in;
@@ -299,11 +301,11 @@ class KernelOf final : public Kernel {
 #define OMNISLIP_JOIN2(a, b) a##b
 #define OMNISLIP_JOIN(a, b) OMNISLIP_JOIN2(a, b)
 
-Kernel *OMNISLIP_JOIN(make_kernel_, OMNISLIP_ARCH)(int kind) {
+Kernel *OMNISLIP_JOIN(make_kernel_, OMNISLIP_ARCH)(int kind, const UserTermList &terms) {
     using Arch = xsimd::OMNISLIP_ARCH;
     if (kind == 0)
-        return new KernelOf<RobotPlant, Arch>();
-    return new KernelOf<AxisPlant, Arch>();
+        return new KernelOf<RobotPlant, Arch>(terms);
+    return new KernelOf<AxisPlant, Arch>(terms);
 }
 
 }  // namespace omnislip

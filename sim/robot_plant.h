@@ -27,6 +27,7 @@
 #define OMNISLIP_SIM_ROBOT_PLANT_H
 
 #include "memory.h"
+#include "user_terms.h"
 
 namespace omnislip {
 
@@ -105,8 +106,9 @@ class RobotPlant : public RobotLayout {
   public:
     using Step = RobotStep<S>;
 
-    /* `flat`: base parameters, then effect slots; `active`: one flag per effect. */
-    void prepare(const S *flat, const bool *active) {
+    /* `flat`: base parameters, effect slots, parameters of the user's terms; `active`: one flag per
+     * effect; the terms must outlive the plant. */
+    void prepare(const S *flat, const bool *active, const UserTermList &terms = {}) {
         effects_ = flat + kBase;
         hooks_ = 0;
         for (int i = 0; i < kEffectCount; ++i)
@@ -119,6 +121,7 @@ class RobotPlant : public RobotLayout {
             hooks_ |= E::info.hooks;
             E::prepare(c_, values<E>(slot));
         });
+        hooks_ |= user_.prepare(terms, effects_ + effect_slot_count(kMotors));
         derive_geometry();
         derive_memory();
     }
@@ -134,6 +137,11 @@ class RobotPlant : public RobotLayout {
         });
         for (int i = 0; i < 4; ++i)
             driven[i] = term.duty[i];
+        if (hooks_ & kCommand) {
+            UserInputs<S> inputs;
+            inputs.at[kInD] = term.duty;
+            user_.add(UserTarget::kDuty, inputs, 4, driven);
+        }
     }
 
     /* Driver and armature over a step from x [kAll] under a constant duty. */
@@ -160,7 +168,7 @@ class RobotPlant : public RobotLayout {
         S radius_m[4];
         S grip_rate[4];
         contact(x, step, time_s, in, traction_per_load, radius_m, grip_rate);
-        BodyTerm<S, 4> external = outside(x, cos_theta, sin_theta, in);
+        BodyTerm<S, 4> external = outside(x, time_s, cos_theta, sin_theta, in);
         body(x, in, traction_per_load, external, dx);
 
         for (int i = 0; i < 4; ++i) {
@@ -387,17 +395,19 @@ class RobotPlant : public RobotLayout {
             angle[i] = S(0.0);
             torque[i] = c_.torque_constant_nm_a[i] * c_.supply_v / c_.resistance_ohm;
         }
-        const ShaftTerm<S, 4> moving = friction(speed, angle, torque);
+        const S start_s = S(0.0);
+        const ShaftTerm<S, 4> moving = friction(speed, angle, torque, start_s);
         for (int i = 0; i < 4; ++i)
             speed[i] = S(0.0);
-        const ShaftTerm<S, 4> still = friction(speed, angle, torque);
+        const ShaftTerm<S, 4> still = friction(speed, angle, torque, start_s);
         using std::max;
         for (int i = 0; i < 4; ++i) {
             shaft_damping_[i] = max((still.torque_nm[i] - moving.torque_nm[i]) / probe, S(0.0));
         }
     }
 
-    ShaftTerm<S, 4> friction(const S *speed, const S *angle, const S *motor_torque) const {
+    ShaftTerm<S, 4> friction(const S *speed, const S *angle, const S *motor_torque,
+                             const S &time_s) const {
         using std::tanh;
         ShaftTerm<S, 4> term;
         term.speed_rad_s = speed;
@@ -411,6 +421,12 @@ class RobotPlant : public RobotLayout {
             using E = decltype(effect);
             E::shaft(term, values<E>(slot));
         });
+        UserInputs<S> inputs;
+        inputs.at[kInW] = speed;
+        inputs.at[kInThM] = angle;
+        inputs.at[kInTau] = motor_torque;
+        inputs.at[kInT] = &time_s;
+        user_.add(UserTarget::kShaftTorque, inputs, 4, term.torque_nm);
         return term;
     }
 
@@ -422,6 +438,11 @@ class RobotPlant : public RobotLayout {
             using E = decltype(effect);
             E::supply(supply, values<E>(slot));
         });
+        if (hooks_ & kSupply) {
+            UserInputs<S> inputs;
+            inputs.at[kInT] = &time_s;
+            user_.add(UserTarget::kSupply, inputs, 1, &supply.open_circuit_v);
+        }
         for (int i = 0; i < 4; ++i)
             in.conductance_s[i] = heats_ ? warm_conductance_s(x, i) : conductance_s_;
         balance_bus(speed, step, supply.open_circuit_v, in);
@@ -430,7 +451,7 @@ class RobotPlant : public RobotLayout {
             in.friction_torque_nm[i] = -c_.viscous_friction_nm_s[i] * speed[i];
         }
         if (hooks_ & kShaft) {
-            const ShaftTerm<S, 4> term = friction(speed, x + kAngle, in.motor_torque_nm);
+            const ShaftTerm<S, 4> term = friction(speed, x + kAngle, in.motor_torque_nm, time_s);
             for (int i = 0; i < 4; ++i) {
                 in.friction_torque_nm[i] = in.friction_torque_nm[i] + term.torque_nm[i];
             }
@@ -608,6 +629,11 @@ class RobotPlant : public RobotLayout {
                 E::contact(term, values<E>(slot));
             }
         });
+        UserInputs<S> inputs = motion(x, time_s);
+        inputs.at[kInS] = term.slip_m_s;
+        inputs.at[kInVT] = in.hub_speed_m_s;
+        inputs.at[kInVF] = in.roller_speed_m_s;
+        user_.add(UserTarget::kGrip, inputs, 4, term.mu_drive);
         for (int i = 0; i < 4; ++i) {
             mu[i] = term.mu_drive[i];
             radius_m[i] = term.radius_m[i];
@@ -628,8 +654,23 @@ class RobotPlant : public RobotLayout {
         });
     }
 
+    /* What a term of the user may depend on wherever it acts on the body or the sensors. */
+    static UserInputs<S> motion(const S *x, const S &time_s) {
+        UserInputs<S> inputs;
+        inputs.at[kInT] = &time_s;
+        inputs.at[kInW] = x + kSpeed;
+        inputs.at[kInThM] = x + kAngle;
+        inputs.at[kInVx] = x + kVelocity;
+        inputs.at[kInVy] = x + kVelocity + 1;
+        inputs.at[kInOmega] = x + kVelocity + 2;
+        inputs.at[kInX] = x + kPose;
+        inputs.at[kInY] = x + kPose + 1;
+        inputs.at[kInTheta] = x + kPose + 2;
+        return inputs;
+    }
+
     /* Forces from outside at the centre of gravity, and rolling resistance per load. */
-    BodyTerm<S, 4> outside(const S *x, const S &cos_theta, const S &sin_theta,
+    BodyTerm<S, 4> outside(const S *x, const S &time_s, const S &cos_theta, const S &sin_theta,
                            const RobotInternals<S> &in) const {
         BodyTerm<S, 4> term;
         term.force_x_n = term.force_y_n = term.torque_nm = S(0.0);
@@ -651,6 +692,10 @@ class RobotPlant : public RobotLayout {
             using E = decltype(effect);
             E::body(term, values<E>(slot));
         });
+        const UserInputs<S> inputs = motion(x, time_s);
+        user_.add(UserTarget::kForceX, inputs, 1, &term.force_x_n);
+        user_.add(UserTarget::kForceY, inputs, 1, &term.force_y_n);
+        user_.add(UserTarget::kBodyTorque, inputs, 1, &term.torque_nm);
         return term;
     }
 
@@ -739,6 +784,11 @@ class RobotPlant : public RobotLayout {
             using E = decltype(effect);
             E::sensor(term, values<E>(slot));
         });
+        const UserInputs<S> inputs = motion(x, time_s);
+        user_.add(UserTarget::kGyro, inputs, 1, &term.gyro_rad_s);
+        user_.add(UserTarget::kPoseX, inputs, 1, &term.x_m);
+        user_.add(UserTarget::kPoseY, inputs, 1, &term.y_m);
+        user_.add(UserTarget::kPoseTheta, inputs, 1, &term.theta_rad);
         return term;
     }
 
@@ -752,6 +802,7 @@ class RobotPlant : public RobotLayout {
     S wheel_x_[4], wheel_y_[4], leg_x_[4], leg_y_[4], static_load_n_[4], shaft_damping_[4];
     S drive_x_[4], drive_y_[4], drive_lever_[4], roller_lever_[4];
     const S *effects_ = nullptr;
+    UserTerms<S, 4> user_;
     bool active_[kEffectCount] = {};
     unsigned hooks_ = 0;
     bool load_moves_ = false, bus_sags_ = false;

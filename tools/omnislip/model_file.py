@@ -6,14 +6,15 @@
     odometry  geometry of a robot with any number of omni wheels, encoders only
 
 [tolerance] gives the relative standard deviation of each believed value: `default` and one entry
-per key. Each [[effects.NAME]] table adds one effect of the catalogue to the model. Every key has
-its unit in its name; unknown and missing keys are errors.
+per key. Each [[effects.NAME]] table adds one effect of the catalogue to the model. A [define.NAME]
+table defines an effect of the user's own (user_effects.py). Every key has its unit in its name;
+unknown and missing keys are errors.
 """
 
 import copy
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,7 @@ from omnislip.files import (
     load_toml,
     write_text,
 )
+from omnislip.user_effects import read_entries
 
 DEFAULT_TOLERANCE = 0.02
 NOMINAL_ROBOT = Path(__file__).parent / "robots" / "msl_omni_4.toml"
@@ -123,6 +125,15 @@ class Model:
     effects: list[Effect] = field(default_factory=list)
     name: str = ""
     path: Path | None = None
+    definitions: dict[str, dict[str, Any]] = field(default_factory=dict)
+    """The user's own effects, as written in [define.NAME]."""
+    own_effects: list[dict[str, Any]] = field(default_factory=list)
+    """Their entries beside those of the catalogue (user_effects.read_entries)."""
+
+    @property
+    def catalogue(self) -> list[dict[str, Any]]:
+        """Entries of all effects that this model may have: of the catalogue, then the user's."""
+        return [*_core.effects(), *self.own_effects]
 
     def tolerance_of(self, key: str) -> float:
         """Return the relative standard deviation with which the value of `key` is believed."""
@@ -141,7 +152,16 @@ class Model:
             else:
                 parameters[key] = value
         plant = [effect for effect in self.effects if effect.name not in (*WIRING, "impact")]
-        return parameters, [_effect_to_core(effect) for effect in plant]
+        return parameters, [self._effect_to_core(effect) for effect in plant]
+
+    def _effect_to_core(self, effect: Effect) -> dict[str, Any]:
+        entry = next(entry for entry in self.catalogue if entry["name"] == effect.name)
+        neutral = {parameter["name"]: parameter["neutral"] for parameter in entry["parameters"]}
+        return {
+            "name": effect.name,
+            "wheel": effect.wheel,
+            "parameters": neutral | effect.parameters,
+        }
 
 
 def read_model(path: Path | str) -> Model:
@@ -160,18 +180,32 @@ def parse_model(data: Mapping[str, Any], path: Path) -> Model:
         raise InputError(f"{path}: model.kind must be one of {', '.join(KINDS)}, not {kind!r}")
     tolerance = check_table(data.pop("tolerance", {}), "tolerance", path)
     effects = check_table(data.pop("effects", {}), "effects", path)
+    definitions = check_table(data.pop("define", {}), "define", path)
     name = data.get(kind, {}).pop("name", "") if isinstance(data.get(kind), dict) else ""
     if not isinstance(name, str):
         raise InputError(f"{path}: '{kind}.name' must be a text, not {name!r}")
     values = _read_values(kind, data, path)
+    own_effects = read_entries(definitions, kind, path)
     return Model(
         kind=kind,
         values=values,
         tolerance=_read_tolerance(tolerance, values, path),
-        effects=_read_effects(effects, kind, values, path),
+        effects=_read_effects(effects, kind, values, [*_core.effects(), *own_effects], path),
         name=name,
         path=path,
+        definitions=definitions,
+        own_effects=own_effects,
     )
+
+
+def with_definitions(model: Model, tables: Mapping[str, Any], path: Path) -> Model:
+    """Return the model with more effects of the user's, from the [define.NAME] of another file."""
+    doubled = [name for name in tables if name in model.definitions]
+    if doubled:
+        raise InputError(f"{path}: '{doubled[0]}' is defined in {model.path} already")
+    definitions = model.definitions | dict(tables)
+    own_effects = [*model.own_effects, *read_entries(tables, model.kind, path)]
+    return replace(model, definitions=definitions, own_effects=own_effects)
 
 
 def write_model(model: Model, path: Path | str) -> None:
@@ -188,6 +222,9 @@ def format_model(model: Model) -> str:
         lines += ["", f"[{section}]", *(f"{key} = {_toml(item)}" for key, item in table.items())]
     lines += ["", "[tolerance] # relative standard deviation of the values above"]
     lines += [f"{_toml_key(key)} = {_toml(item)}" for key, item in model.tolerance.items()]
+    for name, table in model.definitions.items():
+        lines += ["", f"[define.{name}]"]
+        lines += [f"{key} = {_toml(item)}" for key, item in table.items()]
     for effect in model.effects:
         lines += ["", f"[[effects.{effect.name}]]"]
         lines += [f"{key} = {_toml(item)}" for key, item in _effect_table(effect).items()]
@@ -207,7 +244,9 @@ def _effect_table(effect: Effect) -> dict[str, Any]:
     return {key: item for key, item in marks.items() if item is not None} | effect.parameters
 
 
-def _toml(value: str | float | list[float]) -> str:
+def _toml(value: str | float | list[float] | dict[str, Any]) -> str:
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{key} = {_toml(item)}" for key, item in value.items()) + " }"
     if isinstance(value, str):
         # JSON strings are TOML strings, except that TOML wants DEL escaped too.
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
@@ -296,9 +335,13 @@ def _read_tolerance(
 
 
 def _read_effects(
-    tables: Mapping[str, Any], kind: str, values: Mapping[str, Any], path: Path
+    tables: Mapping[str, Any],
+    kind: str,
+    values: Mapping[str, Any],
+    entries: list[dict[str, Any]],
+    path: Path,
 ) -> list[Effect]:
-    catalogue = {entry["name"]: entry for entry in _core.effects()}
+    catalogue = {entry["name"]: entry for entry in entries}
     wheel_count = len(values.get(f"{kind}.wheel_angles_deg", []))
     names = TRANSLATING_NAMES if "axis.mass_kg" in values else {}
     check_known(tables, [*catalogue, *WIRING, "impact"], "effect", path)
@@ -383,13 +426,3 @@ def _read_wheel(value: object, entry: dict[str, Any], wheel_count: int, path: Pa
     if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= wheel_count:
         raise InputError(f"{path}: 'effects.{name}.wheel' must be 1 to {wheel_count}, not {value}")
     return value
-
-
-def _effect_to_core(effect: Effect) -> dict[str, Any]:
-    entry = next(entry for entry in _core.effects() if entry["name"] == effect.name)
-    neutral = {parameter["name"]: parameter["neutral"] for parameter in entry["parameters"]}
-    return {
-        "name": effect.name,
-        "wheel": effect.wheel,
-        "parameters": neutral | effect.parameters,
-    }

@@ -60,6 +60,7 @@ def simulate_truth(scenario: Scenario, on_board: bool = False) -> dict[str, Arra
             encoder_start_counts=sensors.encoder_start_counts,
             supply_error_v=_supply_error_v(scenario, ticks),
             supply_resolution_v=sensors.supply_resolution_v,
+            user_effects=scenario.model.own_effects,
         )
     except ValueError as error:
         raise InputError(f"scenario '{scenario.name}': {error}") from None

@@ -29,6 +29,9 @@ def find(
     logs: Annotated[list[Path], typer.Argument(help="Logs (.csv or .parquet) of one machine.")],
     robot: Robot,
     out: Annotated[Path, typer.Option(help="Folder for report.html, gap.json and robot.toml.")],
+    effects: Annotated[
+        Path | None, typer.Option(help="File with effects of your own (.toml) to look for too.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Find the gap, name its cause, write the amended model and a report."""
@@ -37,7 +40,7 @@ def find(
 
     check_folder(out)
     with progress() as say:
-        findings = find_gap(robot, logs, say)
+        findings = find_gap(robot, logs, say, effects)
         say("drawing the report")
         report = render(findings, shlex.join(["omnislip", *sys.argv[1:]]))
     write_results(findings, out, report)

@@ -32,7 +32,15 @@ from omnislip.gap.search import Outcome, Selected, search
 from omnislip.gap.where import Map, Place, describe, map_gap
 from omnislip.gap.wiring import find_wiring, mend
 from omnislip.log_file import Log, read_log
-from omnislip.model_file import IMPACT_KEYS, Effect, Model, format_model, read_model
+from omnislip.model_file import (
+    IMPACT_KEYS,
+    Effect,
+    Model,
+    format_model,
+    read_model,
+    with_definitions,
+)
+from omnislip.user_effects import read_definitions
 
 Array = npt.NDArray[np.float64]
 
@@ -94,14 +102,23 @@ class Findings:
 
 
 def find_gap(
-    model_path: Path, log_paths: Sequence[Path], progress: Callable[[str], None]
+    model_path: Path,
+    log_paths: Sequence[Path],
+    progress: Callable[[str], None],
+    effects_path: Path | None = None,
 ) -> Findings:
-    """Find the gap between a model file and logs. InputError for files that cannot be used."""
+    """Find the gap between a model file and logs. InputError for files that cannot be used.
+
+    `effects_path` is a file with effects of the user's own (user_effects.py).
+    """
     model = read_model(model_path)
+    if effects_path is not None:
+        model = with_definitions(model, read_definitions(effects_path), effects_path)
     machine = Machine(model)
     progress(f"reading {len(log_paths)} logs")
     logs = [mend(read_log(path, model.kind), model.effects) for path in log_paths]
-    inputs = {str(path): _sha256(path) for path in (model_path, *log_paths)}
+    files = [path for path in (model_path, effects_path, *log_paths) if path is not None]
+    inputs = {str(path): _sha256(path) for path in files}
     reason = _too_little(machine, logs)
     if reason:
         return _insufficient(machine, logs, reason, inputs)

@@ -6,7 +6,7 @@ parameter of every effect, wheel by wheel. This module knows which place means w
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -86,8 +86,8 @@ class Machine:
         self.model = model
         self.kind = model.kind
         self.linear = model.kind == "axis" and axis_is_linear(model)
-        self.engine = _core.Engine(model.kind)
-        self.catalogue = {e["name"]: e for e in _core.effects() if model.kind in e["kinds"]}
+        self.engine = _core.Engine(model.kind, user_effects=model.own_effects)
+        self.catalogue = {e["name"]: e for e in model.catalogue if model.kind in e["kinds"]}
         self._places = self._layout()
         self.believed = self._flat_values()
 
@@ -145,13 +145,7 @@ class Machine:
             for e in self.model.effects
             if e.name not in self.catalogue or (e.name, e.wheel) not in changed
         ]
-        return Model(
-            kind=self.model.kind,
-            values=values,
-            tolerance=self.model.tolerance,
-            effects=[*kept, *effects],
-            name=self.model.name,
-        )
+        return replace(self.model, values=values, effects=[*kept, *effects], path=None)
 
     def sign_of(self, effect: str, parameter: str) -> float:
         """Return the direction in which a size is usually off: -1 or 1."""
@@ -172,7 +166,7 @@ class Machine:
     def _layout(self) -> dict[tuple[str, str], tuple[int, int]]:
         place = len(_core.base_parameters(self.kind))
         places = {}
-        for entry in _core.effects():
+        for entry in self.model.catalogue:
             stride = self.engine.motors if entry["per_wheel"] else 1
             for parameter in entry["parameters"]:
                 places[entry["name"], parameter["name"]] = (stride, place)
@@ -181,7 +175,7 @@ class Machine:
 
     def _flat_values(self) -> Array:
         values = np.empty(self.engine.parameters)
-        for entry in _core.effects():
+        for entry in self.model.catalogue:
             for parameter in entry["parameters"]:
                 stride, first = self._places[entry["name"], parameter["name"]]
                 values[first : first + stride] = parameter["neutral"]
@@ -247,7 +241,7 @@ class Machine:
     def _effect_parameter(self, effect: str, entry: dict, wheel: int | None) -> Parameter:
         if entry["typical"] == 0:
             scale = _shape_scale(entry)
-        elif self.kind == "axis":
+        elif self.kind == "axis" and effect not in self.model.definitions:
             scale = self._axis_size(effect, entry["name"], entry["typical"])
         else:
             scale = abs(entry["typical"])
@@ -301,6 +295,7 @@ SHAPE_GRIDS = {
 def _shape_starts(effect: str, shapes: Mapping[int, dict]) -> tuple[dict[int, float], ...]:
     starts: list[dict[int, float]] = [{}]
     for index, parameter in shapes.items():
-        grid = SHAPE_GRIDS.get((effect, parameter["name"]), (parameter["neutral"],))
+        own = parameter.get("starts", (parameter["neutral"],))
+        grid = SHAPE_GRIDS.get((effect, parameter["name"]), own)
         starts = [{**start, index: value} for start in starts for value in grid]
     return tuple(starts)
