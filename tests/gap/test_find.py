@@ -171,7 +171,7 @@ EFFECT = {
     "wheel": (int, type(None)),
     "parameters": {str: {"value": NUMBER, "low": NUMBER, "high": NUMBER}},
     "ambiguous_with": [str],
-    "separating_manoeuvre": (str, type(None)),
+    "separating_manoeuvre": (dict, type(None)),
     "evidence": {str: NUMBER},
 }
 SHAPE = {

@@ -18,8 +18,9 @@
             impulse_y_n_s, impulse_theta_n_m_s (world frame)
 """
 
+import json
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -116,6 +117,34 @@ def parse_scenario(data: dict[str, Any], path: Path, model: Model) -> Scenario:
         pose_rate_hz=pose_rate_hz,
         sensors=_read_sensors(check_table(data.get("sensors", {}), "sensors", path), path),
     )
+
+
+def format_scenario(scenario: Scenario, robot: str, comment: str) -> str:
+    """Return the text of a scenario file; `robot` is the model file, relative to the scenario."""
+    head = {
+        "name": scenario.name,
+        "duration_s": scenario.duration_s,
+        "robot": robot,
+        "controller": "slip" if scenario.slip_compensation else "plain",
+        "seed": scenario.seed,
+    }
+    lines = [f"# {comment}", "[scenario]", *_lines(head), "", "[log]"]
+    lines += _lines({"rate_hz": scenario.rate_hz, "pose_rate_hz": scenario.pose_rate_hz})
+    lines += ["", "[sensors]", *_lines(asdict(scenario.sensors))]
+    for command in scenario.commands:
+        value, rest = command["value"], {}
+        if command["kind"] == "pose":
+            value, rest = value[:3], {"arrival_velocity": value[3:]}
+        given = {command["kind"]: value if command["kind"] != "stop" else True}
+        lines += ["", "[[command]]", *_lines({"t_s": command["t_s"]} | given | rest)]
+    for impact in scenario.impulses:
+        lines += ["", "[[impact]]", *_lines(impact)]
+    return "\n".join(lines) + "\n"
+
+
+def _lines(table: dict[str, Any]) -> list[str]:
+    # JSON of these values is TOML.
+    return [f"{key} = {json.dumps(value)}" for key, value in table.items()]
 
 
 def _text(value: object, where: str, path: Path) -> str:

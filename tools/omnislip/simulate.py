@@ -15,6 +15,7 @@ from omnislip import _core
 from omnislip.errors import InputError
 from omnislip.firmware_parameters import firmware_parameters
 from omnislip.log_file import POSE_COLUMNS, Log
+from omnislip.model_file import Model
 from omnislip.scenario import CONTROL_RATE_HZ, Scenario
 
 Array = npt.NDArray[np.float64]
@@ -38,11 +39,16 @@ def run_scenario(scenario: Scenario, on_board: bool = False) -> Run:
     return Run(truth, make_log(scenario, truth))
 
 
-def simulate_truth(scenario: Scenario, on_board: bool = False) -> dict[str, Array]:
-    """Return the 1 kHz arrays (n rows) of the closed loop, names and units as in _core.simulate."""
+def simulate_truth(
+    scenario: Scenario, on_board: bool = False, firmware_robot: Model | None = None
+) -> dict[str, Array]:
+    """Return the 1 kHz arrays (n rows) of the closed loop, names and units as in _core.simulate.
+
+    The firmware is set up for `firmware_robot`, by default for the robot of the scenario.
+    """
     parameters, effects = scenario.model.to_core()
     try:
-        raw_parameters = firmware_parameters(scenario.model.values)
+        raw_parameters = firmware_parameters((firmware_robot or scenario.model).values)
     except ValueError as error:
         raise InputError(f"{scenario.model.path}: {error}") from None
     raw_parameters["slip_compensation"] = int(scenario.slip_compensation)

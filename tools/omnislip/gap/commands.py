@@ -53,6 +53,56 @@ def find(
     print(f"report: {out / 'report.html'}   amended model: {out / 'robot.toml'}")
 
 
+@app.command(
+    epilog="Example: omnislip gap plan --robot robot.toml --out plan actuation_delay driver_lag"
+)
+def plan(
+    robot: Robot,
+    out: Annotated[Path, typer.Option(help="Folder for the best manoeuvre, a scenario file.")],
+    effects: Annotated[
+        list[str] | None,
+        typer.Argument(help="Effects to tell apart, such as 'weak_motor (wheel 3)'."),
+    ] = None,
+    gap: Annotated[
+        Path | None, typer.Option(help="gap.json with an effect that is ambiguous, instead.")
+    ] = None,
+    room_m: Annotated[float, typer.Option(min=0.5, max=100.0, help="Side of the free room.")] = 3.0,
+    speed_m_s: Annotated[float, typer.Option(min=0.05, max=10.0, help="Speed limit.")] = 1.0,
+    as_json: Json = False,
+) -> None:
+    """Find the manoeuvre that would separate effects that logs cannot; write it as a scenario."""
+    from omnislip.gap import plan as planning
+    from omnislip.model_file import read_model
+
+    check_folder(out)
+    model = read_model(robot)
+    if (gap is None) == (not effects):
+        raise InputError("gap plan needs either the names of effects or --gap FILE")
+    question = planning.read_gap(gap) if gap else planning.Question(effects or [])
+    with progress() as say:
+        ranked = planning.plan(model, question, planning.Limits(room_m, speed_m_s), say)
+    written = planning.write_plan(ranked[0], out, robot)
+    if as_json:
+        rows = [one.as_json() for one in ranked]
+        result = {"effects": question.names, "manoeuvres": rows, "scenario": str(written)}
+        print(json.dumps(result, indent=1))
+        return
+    table = Table(title="telling apart " + ", ".join(question.names))
+    for heading in ("manoeuvre", "s", "expected separation", "probability of right", "reach m"):
+        table.add_column(heading, justify="left" if heading == "manoeuvre" else "right")
+    for one in ranked:
+        table.add_row(
+            one.manoeuvre.name,
+            f"{one.manoeuvre.duration_s:.1f}",
+            f"{one.separation:.3g}",
+            f"{one.probability:.4f}",
+            f"{one.reach_m:.2f}",
+        )
+    Console().print(table)
+    print(f"{ranked[0].manoeuvre.name}: {ranked[0].manoeuvre.summary}; written to {written}")
+    print(f"rehearse it: omnislip simulate {written} --out {written.with_suffix('.csv')}")
+
+
 @app.command(epilog="Example: omnislip gap evaluate --robot gap/robot.toml run_07.csv run_08.csv")
 def evaluate(
     logs: Annotated[list[Path], typer.Argument(help="Logs (.csv or .parquet) of one machine.")],

@@ -16,7 +16,7 @@ from omnislip.files import write_text
 from omnislip.gap.events import Impact, as_effect, find_impacts, known_pushes, pieces
 from omnislip.gap.inference import prior_penalty
 from omnislip.gap.inverse import relative_force_error
-from omnislip.gap.machine import Candidate, Machine
+from omnislip.gap.machine import Machine
 from omnislip.gap.metrics import (
     REPEATED,
     Closed,
@@ -27,6 +27,7 @@ from omnislip.gap.metrics import (
     replay_all,
 )
 from omnislip.gap.noise import Noise, tune_noise
+from omnislip.gap.plan import Separation, separating_manoeuvre
 from omnislip.gap.recordings import Run, make_run
 from omnislip.gap.search import Outcome, Selected, search
 from omnislip.gap.where import Map, Place, describe, map_gap
@@ -97,6 +98,8 @@ class Findings:
     table: GapTable | None
     steps: list[Step]
     replays: list[Replays]
+    manoeuvres: dict[str, Separation]
+    """What would tell an effect (by the name of its candidate) from those it is ambiguous with."""
     inputs: dict[str, str]
     """File name -> SHA-256 of the model and the logs."""
 
@@ -146,9 +149,17 @@ def find_gap(
     )
     places = describe(fitted, gap_map) if outcome.selected else []
     verdict = _verdict(outcome, table, bool(wiring or impacts))
+    manoeuvres = {}
+    for index, one in enumerate(outcome.selected):
+        if one.rivals:
+            progress(f"looking for a manoeuvre that separates {one.candidate.name} from its rivals")
+            best = separating_manoeuvre(
+                machine, outcome.data, outcome.final.hypothesis, index, one.rivals
+            )
+            manoeuvres |= {one.candidate.name: best} if best else {}
     return Findings(
         verdict,
-        _sentence(verdict, machine, outcome, table, wiring, impacts),
+        _sentence(verdict, machine, outcome, table, wiring, impacts) + _advice(manoeuvres),
         machine,
         split,
         outcome,
@@ -160,6 +171,7 @@ def find_gap(
         table,
         steps,
         replays,
+        manoeuvres,
         inputs,
     )
 
@@ -306,6 +318,7 @@ def _insufficient(
         None,
         [],
         [],
+        {},
         inputs,
     )
 
@@ -344,6 +357,16 @@ def _sentence(
     return text
 
 
+def _advice(manoeuvres: dict[str, Separation]) -> str:
+    """Return what to drive next, or nothing."""
+    return "".join(
+        f" Driving '{best.manoeuvre.name}' ({best.manoeuvre.duration_s:.0f} s, omnislip gap plan)"
+        f" would tell {name} from them: expected separation {best.separation:.0f},"
+        f" right with probability {best.probability:.3g}."
+        for name, best in manoeuvres.items()
+    )
+
+
 def _wiring_words(effect: Effect) -> str:
     if effect.name == "wheel_permutation":
         order = ", ".join(str(wheel) for wheel in effect.parameters["wheels"])
@@ -379,23 +402,14 @@ def _amend(machine: Machine, outcome: Outcome, mended: Sequence[Effect]) -> Mode
         p.label: float(x) / float(machine.believed[p.places[0]])
         for p, x in zip(hypothesis.base, hypothesis.x, strict=False)
     }
-    effects = [_as_effect(machine, s.candidate, s.values) for s in outcome.selected]
+    effects = [machine.effect_of(s.candidate, s.values) for s in outcome.selected]
     return machine.amended_model(base, [*mended, *effects])
-
-
-def _as_effect(machine: Machine, candidate: Candidate, values: Array) -> Effect:
-    parameters = {
-        machine.file_parameter(p.label): float(v)
-        for p, v in zip(candidate.parameters, values, strict=True)
-        if np.isfinite(v)
-    }
-    return Effect(candidate.effect, parameters, candidate.wheel)
 
 
 def to_json(findings: Findings) -> dict[str, Any]:
     """Return gap.json as a dict."""
     machine, outcome, table = findings.machine, findings.outcome, findings.table
-    passed = [_effect_json(machine, s) for s in outcome.selected] if outcome else []
+    passed = [_effect_json(findings, s) for s in outcome.selected] if outcome else []
     unknown = findings.verdict == "unknown_effect"
     effects, nearest = ([], passed) if unknown else (passed, [])
     mended = [_wiring_json(effect) for effect in findings.wiring]
@@ -476,8 +490,10 @@ def _impact_json(impact: Impact) -> dict[str, Any]:
     }
 
 
-def _effect_json(machine: Machine, selected: Selected) -> dict[str, Any]:
+def _effect_json(findings: Findings, selected: Selected) -> dict[str, Any]:
+    machine = findings.machine
     candidate, evidence = selected.candidate, selected.evidence
+    manoeuvre = findings.manoeuvres.get(candidate.name)
     half = CONFIDENCE * np.sqrt(np.diag(evidence.covariance))
     parameters = {
         machine.file_parameter(p.label): {
@@ -493,7 +509,7 @@ def _effect_json(machine: Machine, selected: Selected) -> dict[str, Any]:
         "wheel": candidate.wheel,
         "parameters": parameters,
         "ambiguous_with": list(selected.rivals),
-        "separating_manoeuvre": None,
+        "separating_manoeuvre": manoeuvre.as_json() if manoeuvre else None,
         "evidence": {
             "gain": evidence.gain,
             "inflation": evidence.inflation,

@@ -133,6 +133,15 @@ class Machine:
             changed[list(parameter.places)] = size
         return changed
 
+    def effect_of(self, candidate: Candidate, values: Iterable[float]) -> Effect:
+        """Return the effect of a model file that a candidate with these values is."""
+        parameters = {
+            self.file_parameter(p.label): float(v)
+            for p, v in zip(candidate.parameters, values, strict=True)
+            if np.isfinite(v)
+        }
+        return Effect(candidate.effect, parameters, candidate.wheel)
+
     def amended_model(self, base: Mapping[str, float], effects: list[Effect]) -> Model:
         """Return the model with moved base keys (factor on the believed value) and new effects."""
         values = {
