@@ -201,6 +201,8 @@ def _check_ranges(columns: dict[str, Array], locate: Locate) -> None:
     for name, values in columns.items():
         if name.endswith("/duty"):
             bad, right = np.abs(values) > 1, "in -1 to 1"
+            if 1.5 < np.nanmax(np.abs(values)) <= 100:
+                right += " (it seems to be in percent)"
         elif name.endswith("/encoder_counts"):
             bad, right = values != np.round(values), "a whole number of counts"
         else:

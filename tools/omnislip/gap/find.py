@@ -14,6 +14,7 @@ import numpy.typing as npt
 from omnislip.errors import InputError
 from omnislip.files import write_text
 from omnislip.gap.events import Impact, as_effect, find_impacts, known_pushes, pieces
+from omnislip.gap.gates import check, logged_set_points, too_poor
 from omnislip.gap.inference import prior_penalty
 from omnislip.gap.inverse import relative_force_error
 from omnislip.gap.machine import Machine
@@ -127,12 +128,22 @@ def find_gap(
         return _insufficient(machine, logs, reason, inputs)
     progress("checking the wiring")
     wiring = find_wiring(machine, logs)
-    logs = [mend(log, wiring) for log in logs]
+    progress("checking the recording")
+    checked = check(machine, [mend(log, wiring) for log in logs])
+    logs, cuts = checked.logs, checked.cuts
+    reason = checked.complaint or logged_set_points(machine, logs)
+    if reason:
+        return _insufficient(machine, logs, reason, inputs)
     progress("looking for impacts")
-    noise, impacts = _impacts(machine, logs)
-    pushes = known_pushes(model) + [(impact.run, impact.time_s) for impact in impacts]
+    cuts += known_pushes(model)
+    noise, impacts = _impacts(machine, logs, cuts)
+    pushes = cuts + [(impact.run, impact.time_s) for impact in impacts]
     split = split_runs(machine, logs, pushes)
     outcome = search(machine, split.fitting, split.validation, noise, progress)
+    if not (outcome.selected or wiring or impacts or outcome.leftover):
+        reason = too_poor(machine, outcome.limits)
+        if reason:
+            return _insufficient(machine, logs, reason, inputs)
     progress("replaying the held-out runs")
     believed = machine.believed
     rungs = [fitted.hypothesis.flat(believed) for fitted in outcome.ladder]
@@ -176,10 +187,11 @@ def find_gap(
     )
 
 
-def _impacts(machine: Machine, logs: Sequence[Log]) -> tuple[Noise, list[Impact]]:
-    """Return the noise that it took to look, and the impacts that the model does not name."""
-    known = known_pushes(machine.model)
-    runs = [make_run(machine, log, *rows) for log in logs for rows in pieces(log, known)]
+def _impacts(
+    machine: Machine, logs: Sequence[Log], cuts: Sequence[tuple[str, float]]
+) -> tuple[Noise, list[Impact]]:
+    """Return the noise that it took to look, and the impacts between the cuts (run, time)."""
+    runs = [make_run(machine, log, *rows) for log in logs for rows in pieces(log, cuts)]
     noise = tune_noise(machine, runs, machine.believed)
     return noise, find_impacts(machine, runs, machine.believed, noise)
 

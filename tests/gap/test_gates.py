@@ -1,0 +1,302 @@
+"""Mistakes of recording: each is told, or mended, before any physics is looked for."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from omnislip.gap import find
+from omnislip.gap.find import find_gap, to_json
+from omnislip.gap.gates import check, logged_set_points, too_poor
+from omnislip.gap.machine import Machine
+from omnislip.gap.truth import TruthCase, write_case
+from omnislip.gap.truth_effects import typical_effect
+from omnislip.log_file import Log, read_log, write_log
+from omnislip.model_file import NOMINAL_ROBOT, read_model, write_model
+from omnislip.scenario import Scenario, Sensors
+from omnislip.simulate import make_log, simulate_truth
+
+MODEL = read_model(NOMINAL_ROBOT)
+MACHINE = Machine(MODEL)
+POSE = ["pose/x_m", "pose/y_m", "pose/theta_rad"]
+COUNTS = [f"wheel/{w}/encoder_counts" for w in range(1, 5)]
+SENSORS = Sensors(gyro_noise_rad_s=0.003, pose_noise_m=0.001, pose_noise_rad=0.002)
+
+
+def drive(name="run", model=MODEL, seed=0, scale=1.0, ramp_1_s=None):
+    """9 s of velocities at random within the grip; or of duty steps, applied with a ramp."""
+    generator = np.random.default_rng(seed)
+    commands = []
+    for k in range(18):
+        velocity = scale * generator.uniform(-1, 1, 3) * (0.8, 0.8, 3.0)
+        commands.append({"t_s": 0.5 * k, "kind": "velocity", "value": velocity.tolist()})
+    if ramp_1_s is not None:
+        commands = ramped_duties(seed, ramp_1_s)
+    scenario = Scenario(name, 9.0, model, commands, sensors=SENSORS, seed=seed)
+    return make_log(scenario, simulate_truth(scenario))
+
+
+def set_points(seed):
+    """Duties (18, 4), one set every half second."""
+    return np.random.default_rng(seed).uniform(-0.15, 0.15, (18, 4))
+
+
+def ramped_duties(seed, ramp_1_s):
+    applied, now = [], np.zeros(4)
+    for t_ms, target in enumerate(np.repeat(set_points(seed), 500, axis=0)):
+        now = now + np.clip(target - now, -1e-3 * ramp_1_s, 1e-3 * ramp_1_s)
+        applied.append({"t_s": t_ms * 1e-3, "kind": "duty", "value": now.tolist()})
+    return applied
+
+
+@pytest.fixture(scope="module")
+def good():
+    return drive()
+
+
+def spoilt(log, **columns):
+    return replace(log, columns=log.columns | {k.replace("__", "/"): v for k, v in columns.items()})
+
+
+def times(log, names, factor):
+    return replace(log, columns=log.columns | {n: factor * log.columns[n] for n in names})
+
+
+def later(log, names, delay_s, skew=0.0):
+    """The columns show what was `delay_s` (+ skew times time) ago."""
+    columns = dict(log.columns)
+    for name in names:
+        rows = ~np.isnan(columns[name])
+        when = log.t_s[rows] * (1 - skew) - delay_s
+        shown = columns[name].copy()
+        shown[rows] = np.interp(when, log.t_s[rows], columns[name][rows])
+        columns[name] = shown
+    return replace(log, columns=columns)
+
+
+def frozen(log, names, begin_s, end_s):
+    columns = dict(log.columns)
+    for name in names:
+        values = columns[name].copy()
+        inside = (log.t_s >= begin_s) & (log.t_s < end_s) & ~np.isnan(values)
+        values[inside] = values[inside][0]
+        columns[name] = values
+    return replace(log, columns=columns)
+
+
+def wrapped(log, bits):
+    return replace(log, columns=log.columns | {n: log.columns[n] % 2**bits for n in COUNTS})
+
+
+def clipped(log, limit):
+    name = "gyro/z_rad_s"
+    return replace(log, columns=log.columns | {name: np.clip(log.columns[name], -limit, limit)})
+
+
+def in_degrees(log):
+    """As a camera writes it: wrapped at half a turn."""
+    heading = (log.columns[POSE[2]] + np.pi) % (2 * np.pi) - np.pi
+    return replace(log, columns=log.columns | {POSE[2]: np.degrees(heading)})
+
+
+MISTAKES = {
+    "gyro in degrees": (lambda g: times(g, ["gyro/z_rad_s"], 57.29578), "degrees per second"),
+    "gyro upside down": (lambda g: times(g, ["gyro/z_rad_s"], -1.0), "sign reversed"),
+    "pose in millimetres": (lambda g: times(g, POSE[:2], 1e3), "millimetres"),
+    "pose in centimetres": (lambda g: times(g, POSE[:2], 1e2), "centimetres"),
+    "heading in degrees": (in_degrees, "degrees"),
+    "heading upside down": (lambda g: times(g, POSE[2:], -1.0), "sign reversed"),
+    "counts of quadrature": (lambda g: times(g, COUNTS, 4.0), "counts_per_rev"),
+    "gyro late": (lambda g: later(g, ["gyro/z_rad_s"], 0.2), "gyro/z_rad_s is 0.2"),
+    "gyro early": (lambda g: later(g, ["gyro/z_rad_s"], -0.2), "early against the encoders"),
+    "camera late": (lambda g: later(g, POSE, 0.3), "the pose is 0.3"),
+    "camera clock fast": (lambda g: later(g, POSE, 0.0, 0.04), "clocks apart by"),
+    "counter of 12 bit": (lambda g: wrapped(g, 12), "wrap at 12 bit"),
+    "counter of 10 bit": (lambda g: wrapped(g, 10), "wrap at 10 bit"),
+    "gyro clipped": (lambda g: clipped(g, 0.8), "clipped at"),
+    "gyro dead": (lambda g: times(g, ["gyro/z_rad_s"], 0.0), "gyro/z_rad_s does not change"),
+    "gyro frozen": (lambda g: frozen(g, ["gyro/z_rad_s"], 3.0, 5.0), "from 3.00 to"),
+    "camera frozen": (lambda g: frozen(g, POSE, 2.0, 4.0), "the pose does not change"),
+    "encoder dead": (lambda g: times(g, [COUNTS[1]], 0.0), "wheel/2/encoder_counts stands still"),
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_mistake_is_told(good, mistake):
+    spoil, words = MISTAKES[mistake]
+    complaint = check(MACHINE, [good, spoil(drive("bad", seed=1))]).complaint
+    assert complaint is not None
+    assert words in complaint
+    assert "bad" in complaint
+    assert "\n" not in complaint
+
+
+@pytest.mark.parametrize("mistake", ["gyro in degrees", "camera late", "counter of 12 bit"])
+def test_a_mistake_is_a_verdict_without_a_name(good, mistake, tmp_path):
+    write_log(good, tmp_path / "good.csv")
+    write_log(MISTAKES[mistake][0](good), tmp_path / "bad.csv")
+    write_model(MODEL, tmp_path / "robot.toml")
+    findings = find_gap(
+        tmp_path / "robot.toml", [tmp_path / "good.csv", tmp_path / "bad.csv"], lambda _: None
+    )
+    result = to_json(findings)
+    assert result["verdict"] == "insufficient_data"
+    assert result["effects"] == []
+    assert MISTAKES[mistake][1] in result["sentence"]
+
+
+EFFECTS = [
+    ("encoder_scale", 2),
+    ("gyro_scale", None),
+    ("gyro_bias", None),
+    ("pose_latency", None),
+    ("clock_skew", None),
+    ("current_limit", None),
+    ("driver_lag", None),
+    ("low_grip", None),
+    ("weak_motor", 3),
+    ("encoder_dropout", 2),
+]
+
+
+@pytest.mark.parametrize("name, wheel", EFFECTS)
+def test_what_an_effect_can_say_is_no_mistake(name, wheel, tmp_path):
+    """Logs of the independent generator, with slip, noise, jitter and lost rows."""
+    hidden = (typical_effect(name, wheel).as_dict(),)
+    write_case(TruthCase(seed=3, effects=hidden, runs=3, run_duration_s=5.0), tmp_path)
+    machine = Machine(read_model(tmp_path / "robot.toml"))
+    logs = [read_log(path, "robot") for path in sorted(tmp_path.glob("run_*.csv"))]
+    checked = check(machine, logs)
+    assert (checked.complaint, checked.cuts) == (None, [])
+    assert logged_set_points(machine, logs) is None
+
+
+# ---- gaps and jumps ----
+
+
+def test_a_log_is_cut_where_rows_are_missing(good):
+    kept = (good.t_s < 3.0) | (good.t_s > 3.4)
+    broken = Log(good.name, good.t_s[kept], {n: v[kept] for n, v in good.columns.items()})
+    [(run, time_s)] = check(MACHINE, [broken]).cuts
+    assert run == good.name
+    assert time_s == pytest.approx(3.0, abs=0.01)
+
+
+def test_a_few_missing_rows_are_no_gap(good):
+    kept = np.random.default_rng(0).random(len(good.t_s)) > 0.05
+    thinned = Log(good.name, good.t_s[kept], {n: v[kept] for n, v in good.columns.items()})
+    assert check(MACHINE, [thinned]).cuts == []
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(10, 440), st.floats(0.15, 3.0), st.floats(0, 2 * np.pi))
+def test_a_single_false_pose_is_blanked(number, size_m, bearing):
+    log = drive()
+    row = np.flatnonzero(~np.isnan(log.columns[POSE[0]]))[number]
+    x, y = log.columns[POSE[0]].copy(), log.columns[POSE[1]].copy()
+    x[row] += size_m * np.cos(bearing)
+    y[row] += size_m * np.sin(bearing)
+    checked = check(MACHINE, [spoilt(log, pose__x_m=x, pose__y_m=y)])
+    assert (checked.complaint, checked.cuts) == (None, [])
+    blank = np.isnan(checked.logs[0].columns[POSE[0]]) & ~np.isnan(log.columns[POSE[0]])
+    assert np.flatnonzero(blank).tolist() == [row]
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.floats(1.0, 8.0), st.sampled_from([(0.3, 0.0), (-1.0, 0.0), (0.0, 0.5)]))
+def test_a_camera_that_starts_anew_cuts_the_log(time_s, jump):
+    log = drive()
+    after = log.t_s >= time_s
+    x = log.columns[POSE[0]] + jump[0] * after
+    theta = log.columns[POSE[2]] + jump[1] * after
+    checked = check(MACHINE, [spoilt(log, pose__x_m=x, pose__theta_rad=theta)])
+    assert checked.complaint is None
+    [(run, cut_s)] = checked.cuts
+    assert run == log.name
+    assert time_s <= cut_s < time_s + 0.03
+    before = np.isnan(log.columns[POSE[0]])
+    np.testing.assert_array_equal(np.isnan(checked.logs[0].columns[POSE[0]]), before)
+
+
+def test_a_pose_that_jumps_all_the_time_is_told(good):
+    x = good.columns[POSE[0]].copy()
+    rows = np.flatnonzero(~np.isnan(x))[::5]
+    x[rows] += 1.0
+    assert "jumps again and again" in check(MACHINE, [spoilt(good, pose__x_m=x)]).complaint
+
+
+# ---- several logs ----
+
+OTHER = {
+    "robot.wheel_radius_m": (1.15, "goes 1.1"),
+    "robot.wheel_distance_m": (1.25, "times as far per turn"),
+    "motor.gear_ratio": (1.3, "times as far per turn"),
+}
+
+
+@pytest.mark.parametrize("key", OTHER)
+def test_a_log_of_another_robot_is_told(key):
+    factor, words = OTHER[key]
+    other = replace(MODEL, values=MODEL.values | {key: factor * MODEL.values[key]})
+    logs = [drive(f"run_{k}", seed=k) for k in range(2)] + [drive("strange", other, seed=2)]
+    complaint = check(MACHINE, logs).complaint
+    assert complaint is not None
+    assert "strange looks like another robot" in complaint
+    assert words in complaint
+
+
+def test_logs_of_one_robot_are_of_one_robot():
+    logs = [drive(f"run_{k}", seed=k, scale=0.3 + 0.2 * k) for k in range(4)]
+    assert check(MACHINE, logs).complaint is None
+
+
+# ---- set-points ----
+
+
+def with_set_points(log, seed):
+    """The duty columns as they were wanted, not as the ramp let them through."""
+    wanted = set_points(seed)
+    steps = np.minimum((log.t_s + 1e-9) / 0.5, 17).astype(int)
+    return replace(
+        log, columns=log.columns | {f"wheel/{w + 1}/duty": wanted[steps, w] for w in range(4)}
+    )
+
+
+@pytest.mark.parametrize("ramp_1_s", [1.0, 4.0])
+def test_set_points_in_place_of_duties_are_told(ramp_1_s):
+    log = drive(seed=5, ramp_1_s=ramp_1_s)
+    assert logged_set_points(MACHINE, [log]) is None
+    words = logged_set_points(MACHINE, [with_set_points(log, 5)])
+    assert words is not None
+    assert f"about {ramp_1_s:g} per second" in words
+
+
+# ---- poor excitation ----
+
+
+def test_logs_that_show_hardly_anything_are_too_poor():
+    far = {
+        c.name: {
+            MACHINE.file_parameter(c.parameters[k].label): 50 * c.parameters[k].scale
+            for k in c.amplitudes
+        }
+        for c in MACHINE.candidates()
+    }
+    near = {n: {k: v / 100 for k, v in own.items()} for n, own in far.items()}
+    assert "moves too little: only 0 of" in too_poor(MACHINE, far)
+    assert too_poor(MACHINE, near) is None
+
+
+def test_nothing_found_in_poor_logs_is_no_clearance(tmp_path):
+    """Crawling straight on for some seconds says little of most effects."""
+    command = [
+        {"t_s": 0.7 * k, "kind": "velocity", "value": [0.02 * (-1) ** k, 0.0, 0.0]}
+        for k in range(8)
+    ]
+    scenario = Scenario("crawl", 5.0, MODEL, command, sensors=SENSORS)
+    write_log(make_log(scenario, simulate_truth(scenario)), tmp_path / "crawl.csv")
+    write_model(MODEL, tmp_path / "robot.toml")
+    findings = find.find_gap(tmp_path / "robot.toml", [tmp_path / "crawl.csv"], lambda _: None)
+    assert findings.verdict == "insufficient_data"
+    assert "moves too little" in findings.sentence

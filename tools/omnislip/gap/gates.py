@@ -1,0 +1,582 @@
+"""Gates: mistakes of recording, told before any physics is looked for.
+
+What a log shows is compared with what its encoders say: J+ of eq. (3) turns their steps into a
+motion of the body, without a model of motors or friction. That is right but for slip, so only what
+no slip can do counts. A gate either mends a log (a pose that jumps for one picture is blanked),
+cuts it (a gap in time, a camera that starts anew somewhere else), or says in one sentence why the
+logs cannot be used as they are. Set-points in place of applied duties need the believed plant: a
+ramped or clipped duty has to explain the log far better than the logged one, and better than a
+driver that is late.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from omnislip.gap.machine import Machine
+from omnislip.gap.noise import first_guess, track_all
+from omnislip.gap.recordings import ROBOT_CHANNELS, make_run, unwrap_counts, wheel_jacobian
+from omnislip.log_file import POSE_COLUMNS, Log
+
+Array = npt.NDArray[np.float64]
+
+GAP_S = 0.1
+"""Rows may be missing; from here on the log is cut."""
+LATE_S = 0.08
+"""Lags up to here are found as effects of the sensors, with a size."""
+MOST_LAG_S = 0.6
+GRID_S = 0.01
+WINDOW_S = 0.2
+ALIKE = 0.9
+"""Correlation of two sensors from which on their scale and lag can be judged."""
+PLAUSIBLE_SCALE = {
+    "gyro/z_rad_s": (0.3, 3.0),
+    "pose/theta_rad": (0.15, 4.0),
+    "pose/x_m": (0.15, 4.0),
+}
+"""Factor between sensor and wheels; hard slip makes the body's share of the wheels' way small."""
+UNITS = {
+    "gyro/z_rad_s": {180 / np.pi: "degrees per second", 1e3: "thousandths of rad/s"},
+    "pose/theta_rad": {180 / np.pi: "degrees", 1e3: "thousandths of rad"},
+    "pose/x_m": {1e3: "millimetres", 1e2: "centimetres", 1e-3: "kilometres"},
+}
+STEP_M, STEP_M_S = 0.05, 1.0
+TURN_RAD, TURN_RAD_S = 0.15, 2.0
+"""Disagreement of pose and wheels from picture to picture that slip can explain: offset, rate."""
+MOST_JUMPS = 0.05
+STILL_S = 0.3
+BLIND_DUTY = 0.15
+OTHER_TRAVEL, OTHER_SPEED = 0.06, 0.15
+"""Share by which travel per turn and speed per duty may differ between logs of one robot."""
+SURE = 5.0
+LOOK_AT_S = 20.0
+RAMPS_1_S = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
+SLOW_DRIVERS = {
+    "driver_lag": (0.005, 0.01, 0.02, 0.04, 0.08, 0.16),
+    "actuation_delay": (0.005, 0.01, 0.02, 0.04, 0.08),
+    "current_limit": (4.0, 8.0, 12.0, 16.0, 24.0),
+}
+VISIBLE_SIZES = 5.0
+LEAST_VISIBLE = 0.25
+
+
+@dataclass(frozen=True)
+class Checked:
+    """Logs after the gates: mended, where to cut them (run, time), and why not to use them."""
+
+    logs: list[Log]
+    cuts: list[tuple[str, float]]
+    complaint: str | None
+
+
+def check(machine: Machine, logs: Sequence[Log]) -> Checked:
+    """Pass the logs of a robot through the gates; logs of an axis are only cut at their gaps."""
+    cuts = [(log.name, t) for log in logs for t in _gaps(log)]
+    if machine.kind != "robot":
+        return Checked(list(logs), cuts, None)
+    for log in logs:
+        complaint = _complaint(machine, log)
+        if complaint:
+            return Checked(list(logs), cuts, f"{log.name}: {complaint}")
+    mended = []
+    for log in logs:
+        better, jumps, often = _without_jumps(machine, log)
+        if often:
+            complaint = f"{log.name}: the pose jumps again and again, first at {often:.2f} s"
+            return Checked(list(logs), cuts, complaint)
+        mended.append(better)
+        cuts += [(log.name, t) for t in jumps]
+    return Checked(mended, cuts, _other_robot(machine, mended))
+
+
+def _complaint(machine: Machine, log: Log) -> str | None:
+    """Return the first reason why this log cannot be used."""
+    for gate in (_jumping_counts, _stuck_encoder, _clipped_gyro, _flat, _wrong_scale, _late):
+        complaint = gate(machine, log)
+        if complaint:
+            return complaint
+    return None
+
+
+# ---- what the encoders say ----
+
+
+def _wheel_travel_m(machine: Machine, log: Log) -> Array:
+    """Way of the wheels' rims (rows, 4)."""
+    values = machine.model.values
+    metre = 2 * np.pi * values["robot.wheel_radius_m"] / values["motor.gear_ratio"]
+    counts = [unwrap_counts(log.columns[name]) for name in ROBOT_CHANNELS[:4]]
+    return np.stack(counts, axis=1) * (metre / values["encoder.counts_per_rev"])
+
+
+def _body_travel(machine: Machine, log: Log) -> Array:
+    """Way of the body in its own frame and turn (rows, 3): m, m, rad."""
+    return _wheel_travel_m(machine, log) @ np.linalg.pinv(wheel_jacobian(machine)).T
+
+
+def _sampled(log: Log, name: str) -> npt.NDArray[np.intp]:
+    values = log.columns.get(name)
+    return np.flatnonzero(~np.isnan(values)) if values is not None else np.array([], dtype=np.intp)
+
+
+def _turn_rates(machine: Machine, log: Log) -> tuple[Array, Array, Array] | None:
+    """Grid of 10 ms, turn rate of the wheels and of the gyro on it, both averaged over 50 ms."""
+    rows = _sampled(log, "gyro/z_rad_s")
+    if rows.size < 50:
+        return None
+    grid = np.arange(log.t_s[0], log.t_s[-1], GRID_S)
+    turned = np.interp(grid, log.t_s, _body_travel(machine, log)[:, 2])
+    shown = np.interp(grid, log.t_s[rows], log.columns["gyro/z_rad_s"][rows])
+    smooth = np.ones(5) / 5
+    return (
+        grid,
+        np.convolve(np.gradient(turned, GRID_S), smooth, "same"),
+        np.convolve(shown, smooth, "same"),
+    )
+
+
+def _lag_s(reference: Array, shown: Array) -> tuple[float, float]:
+    """Lag of `shown` behind `reference` (both on 10 ms), and their correlation at that lag."""
+    most = round(MOST_LAG_S / GRID_S)
+    if len(reference) < 4 * most:
+        return 0.0, 0.0
+    best = (0.0, 0.0)
+    for shift in range(-most, most + 1):
+        a = reference[most - shift : len(reference) - most - shift]
+        b = shown[most : len(shown) - most]
+        if a.std() == 0 or b.std() == 0:
+            continue
+        alike = abs(float(np.corrcoef(a, b)[0, 1]))
+        if alike > best[1]:
+            best = (shift * GRID_S, alike)
+    return best
+
+
+# ---- one log ----
+
+
+def _gaps(log: Log) -> list[float]:
+    """Times of the last rows before a gap."""
+    step_s = np.diff(log.t_s)
+    return log.t_s[:-1][step_s > max(GAP_S, 10 * float(np.median(step_s)))].tolist()
+
+
+def _jumping_counts(machine: Machine, log: Log) -> str | None:
+    """A step of the counter that the motor cannot make: a counter of another width, or errors."""
+    values = machine.model.values
+    stall_rad_s2 = (
+        values["motor.torque_constant_nm_a"]
+        * values["motor.supply_v"]
+        / values["motor.resistance_ohm"]
+        / values["motor.inertia_kg_m2"]
+    )
+    counts_per_rad = values["encoder.counts_per_rev"] / (2 * np.pi)
+    dt_s = np.diff(log.t_s)
+    for wheel, name in enumerate(ROBOT_CHANNELS[:4], 1):
+        speed = np.diff(unwrap_counts(log.columns[name])) / dt_s
+        change = np.abs(speed[1:-1] - (speed[2:] + speed[:-2]) / 2) * dt_s[1:-1]
+        possible = 2.0 * stall_rad_s2 * counts_per_rad * dt_s[1:-1] ** 2 + 20
+        bad = np.flatnonzero(change > possible)
+        if not bad.size:
+            continue
+        bad = bad[change[bad] > 0.75 * change[bad].max()]  # its neighbours show half a jump
+        size = float(np.median(change[bad]))
+        at = (
+            f"wheel/{wheel}/encoder_counts jumps by about {size:.0f} at {log.t_s[bad[0] + 1]:.3f} s"
+        )
+        width = round(np.log2(size))
+        if bad.size > 1 and abs(size / 2.0**width - 1) < 0.1 and width < 16:
+            return f"{at}: it seems to wrap at {width} bit, the log needs 16 bit or no wrap"
+        return f"{at}, more than the motor can turn"
+    return None
+
+
+def _stuck_encoder(machine: Machine, log: Log) -> str | None:
+    """A counter that stands still while its motor is driven and the other wheels run."""
+    speed = np.abs(np.diff(_wheel_travel_m(machine, log), axis=0)) / np.diff(log.t_s)[:, None]
+    for wheel, name in enumerate(ROBOT_CHANNELS[:4], 1):
+        still = np.diff(log.columns[name]) == 0
+        driven = np.abs(log.columns[f"wheel/{wheel}/duty"][:-1]) > BLIND_DUTY
+        others = np.median(np.delete(speed, wheel - 1, axis=1), axis=1) > 0.05
+        for begin, end in _stretches(still & driven & others):
+            if log.t_s[end] - log.t_s[begin] > STILL_S:
+                return (
+                    f"{name} stands still from {log.t_s[begin]:.2f} to {log.t_s[end]:.2f} s while "
+                    f"its motor is driven and the other wheels turn"
+                )
+    return None
+
+
+def _stretches(mask: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """First and one past the last index of each run of True."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+
+
+def _flat(machine: Machine, log: Log) -> str | None:
+    """A sensor that shows one value, always or for a while, though the wheels move the robot."""
+    travel = _body_travel(machine, log)
+    rows = _sampled(log, "gyro/z_rad_s")
+    rate = np.gradient(travel[:, 2], log.t_s)
+    for begin, end in _long(log, rows, log.columns.get("gyro/z_rad_s")):
+        if np.ptp(_smooth(rate[begin : end + 1])) > 0.5:
+            return _stands_still("gyro/z_rad_s", log, begin, end)
+    if any(name not in log.columns for name in POSE_COLUMNS):
+        return None
+    columns = [np.nan_to_num(log.columns[c]) for c in POSE_COLUMNS]
+    place = columns[0] + np.e * columns[1] + np.pi * columns[2]  # changes when any of them does
+    for begin, end in _long(log, _sampled(log, "pose/x_m"), place):
+        moved = np.ptp(travel[begin : end + 1], axis=0)
+        if moved[:2].max() > 0.1 or moved[2] > 0.3:
+            return _stands_still("the pose", log, begin, end)
+    return None
+
+
+def _long(log: Log, rows: npt.NDArray[np.intp], values: Array | None) -> list[tuple[int, int]]:
+    """First and last row of the stretches over 0.3 s in which sampled values do not change."""
+    if values is None or rows.size < 10:
+        return []
+    still = [(rows[a], rows[b]) for a, b in _stretches(np.diff(values[rows]) == 0) if b - a >= 10]
+    return [(int(a), int(b)) for a, b in still if log.t_s[b] - log.t_s[a] > STILL_S]
+
+
+def _smooth(values: Array) -> Array:
+    return np.convolve(values, np.ones(10) / 10, "valid") if len(values) > 10 else values
+
+
+def _stands_still(name: str, log: Log, begin: int, end: int) -> str:
+    return (
+        f"{name} does not change from {log.t_s[begin]:.2f} to {log.t_s[end]:.2f} s while the "
+        f"wheels move the robot"
+    )
+
+
+def _clipped_gyro(machine: Machine, log: Log) -> str | None:
+    """The gyro rests at its largest value while the wheels turn the robot faster still."""
+    rates = _turn_rates(machine, log)
+    if rates is None:
+        return None
+    grid, wheels, _ = rates
+    rows = _sampled(log, "gyro/z_rad_s")
+    values = log.columns["gyro/z_rad_s"][rows]
+    for limit in (values.max(), values.min()):
+        at_limit = values == limit
+        long = [s for s in _stretches(at_limit) if s[1] - s[0] >= 5]
+        if abs(limit) < 0.2 or sum(b - a for a, b in long) < 10:
+            continue
+        inside = np.concatenate([rows[a:b] for a, b in long])
+        turned = np.interp(log.t_s[inside], grid, wheels) * np.sign(limit)
+        if np.median(turned) > 1.1 * abs(limit):
+            return (
+                f"gyro/z_rad_s is clipped at {limit:g} while the wheels turn the robot at "
+                f"{np.median(turned):.2g} rad/s"
+            )
+    return None
+
+
+def _windows(machine: Machine, log: Log, name: str) -> tuple[Array, Array]:
+    """Way of wheels and of a pose column over windows of 0.2 s, where the wheels move at all."""
+    rows = _sampled(log, name)
+    if rows.size < 10:
+        return np.empty(0), np.empty(0)
+    travel = _body_travel(machine, log)[rows]
+    stride = max(1, round(WINDOW_S / float(np.median(np.diff(log.t_s[rows])))))
+    if name == "pose/theta_rad":
+        wheels = travel[stride:, 2] - travel[:-stride, 2]
+        shown = log.columns[name][rows]
+        shown = shown[stride:] - shown[:-stride]
+    else:
+        place = np.stack([log.columns[c][rows] for c in POSE_COLUMNS[:2]], axis=1)
+        wheels = np.hypot(*(travel[stride:, :2] - travel[:-stride, :2]).T)
+        shown = np.hypot(*(place[stride:] - place[:-stride]).T)
+    moving = np.abs(wheels) > (0.05 if name == "pose/theta_rad" else 0.03)
+    return wheels[moving], shown[moving]
+
+
+def _wrong_scale(machine: Machine, log: Log) -> str | None:
+    """Units, signs and counts per turn: factors between sensor and wheels that are out of reach."""
+    rates = _turn_rates(machine, log)
+    pairs = {}
+    if rates is not None:
+        turning = np.abs(rates[1]) > 0.2
+        pairs["gyro/z_rad_s"] = (rates[1][turning], rates[2][turning])
+    if all(name in log.columns for name in POSE_COLUMNS):
+        for name in ("pose/theta_rad", "pose/x_m"):
+            pairs[name] = _windows(machine, log, name)
+    for name, (wheels, shown) in pairs.items():
+        if wheels.size < 20:
+            continue
+        ratio = float(np.median(shown / wheels))
+        spread = float(np.median(np.abs(shown / wheels - ratio)))
+        if spread > 0.5 * abs(ratio):
+            continue  # nothing that is only a factor
+        what = "turn" if name != "pose/x_m" else "way"
+        low, high = PLAUSIBLE_SCALE[name]
+        if -high < ratio < -low:
+            return f"{name} shows the {what} of the wheels with the sign reversed"
+        if low < ratio < high:
+            continue
+        for factor, unit in UNITS[name].items():
+            if abs(np.log(abs(ratio) / factor)) < np.log(2):
+                return f"{name} shows {ratio:.3g} times the {what} of the wheels: is it in {unit}?"
+        return (
+            f"{name} shows {ratio:.3g} times the {what} of the wheels: wrong unit, or "
+            f"encoder.counts_per_rev, motor.gear_ratio or robot.wheel_radius_m is wrong?"
+        )
+    return _wrong_speed(machine, log)
+
+
+def _wrong_speed(machine: Machine, log: Log) -> str | None:
+    """Without other sensors: wheels far beyond the speed that the duty can give."""
+    ratio = _speed_per_duty(machine, log)
+    if ratio.size >= 20 and np.median(ratio) > 2.0:
+        return (
+            f"the encoders show {np.median(ratio):.3g} times the speed that the duty can give: is "
+            f"the duty scaled, or encoder.counts_per_rev wrong?"
+        )
+    return None
+
+
+def _speed_per_duty(machine: Machine, log: Log) -> Array:
+    """Steady shaft speed over that of the unloaded motor, all wheels, windows of 0.2 s."""
+    values = machine.model.values
+    rad = 2 * np.pi / values["encoder.counts_per_rev"]
+    no_load = values["motor.supply_v"] / values["motor.back_emf_constant_v_s_rad"]
+    stride = max(1, round(WINDOW_S / float(np.median(np.diff(log.t_s)))))
+    edges = np.arange(0, len(log.t_s), stride)
+    found = []
+    for wheel in range(1, 5):
+        angle = unwrap_counts(log.columns[f"wheel/{wheel}/encoder_counts"])[edges] * rad
+        speed = np.diff(angle) / np.diff(log.t_s[edges])
+        duty = log.columns[f"wheel/{wheel}/duty"]
+        for k, (a, b) in enumerate(pairwise(edges)):
+            steady = k > 0 and abs(speed[k] - speed[k - 1]) < 0.1 * abs(speed[k])
+            if steady and np.ptp(duty[a:b]) < 0.05 and abs(duty[a:b].mean()) > 0.05:
+                found.append(speed[k] / (duty[a:b].mean() * no_load))
+    return np.array(found)
+
+
+def _late(machine: Machine, log: Log) -> str | None:
+    """Gyro or camera late, or early, by more than an effect of the sensor can describe.
+
+    The camera's heading is compared with the gyro: between wheels and body lies the slip, which
+    looks like a lag.
+    """
+    rates = _turn_rates(machine, log)
+    if rates is None or rates[1].std() < 0.1:
+        return None
+    grid, wheels, gyro = rates
+    lag_s, alike = _lag_s(wheels, gyro)
+    if alike > ALIKE and abs(lag_s) > LATE_S:
+        return f"gyro/z_rad_s is {_words(lag_s)} against the encoders"
+    camera = _camera_turn_rate(log, grid)
+    if camera is None:
+        return None
+    inside = ~np.isnan(camera)
+    gyro, camera = gyro[inside], camera[inside]
+    third = len(gyro) // 3
+    parts = [
+        _lag_s(gyro[k * third : (k + 1) * third], camera[k * third : (k + 1) * third])
+        for k in range(3)
+    ]
+    clear = [(k, lag_s) for k, (lag_s, alike) in enumerate(parts) if alike > ALIKE]
+    if len(clear) >= 2 and abs(clear[-1][1] - clear[0][1]) > LATE_S:
+        apart_s = (clear[-1][0] - clear[0][0]) * third * GRID_S
+        share = (clear[-1][1] - clear[0][1]) / apart_s
+        return (
+            f"the pose is {_words(clear[0][1])} against the gyro at first and "
+            f"{_words(clear[-1][1])} later: clocks apart by {100 * abs(share):.1f} %"
+        )
+    lag_s, alike = _lag_s(gyro, camera)
+    if alike > ALIKE and abs(lag_s) > LATE_S:
+        return f"the pose is {_words(lag_s)} against the gyro"
+    return None
+
+
+def _words(lag_s: float) -> str:
+    return f"{abs(lag_s):.2f} s {'late' if lag_s >= 0 else 'early'}"
+
+
+def _camera_turn_rate(log: Log, grid: Array) -> Array | None:
+    """Turn rate of the pose on the grid, averaged over 50 ms; NaN where there is no pose."""
+    rows = _sampled(log, "pose/theta_rad")
+    if rows.size < 50:
+        return None
+    heading = np.unwrap(log.columns["pose/theta_rad"][rows])
+    shown = np.interp(grid, log.t_s[rows], heading, np.nan, np.nan)
+    return np.convolve(np.gradient(shown, GRID_S), np.ones(5) / 5, "same")
+
+
+def _without_jumps(machine: Machine, log: Log) -> tuple[Log, list[float], float | None]:
+    """Blank single false poses; times where the pose goes on from another place.
+
+    The third is the time of the first jump when there are too many.
+    """
+    if not all(name in log.columns for name in POSE_COLUMNS):
+        return log, [], None
+    rows = np.flatnonzero(~np.isnan([log.columns[c] for c in POSE_COLUMNS]).any(axis=0))
+    if rows.size < 10:
+        return log, [], None
+    travel, t_s = _body_travel(machine, log)[rows], log.t_s[rows]
+    pose = np.stack([log.columns[c][rows] for c in POSE_COLUMNS], axis=1)
+
+    def jumps(last: int, now: int) -> bool:
+        dt_s = t_s[now] - t_s[last]
+        way = travel[now] - travel[last]
+        middle = pose[last, 2] + way[2] / 2
+        turn = np.array([[np.cos(middle), -np.sin(middle)], [np.sin(middle), np.cos(middle)]])
+        place = np.hypot(*(pose[now, :2] - pose[last, :2] - turn @ way[:2]))
+        heading = abs((pose[now, 2] - pose[last, 2] - way[2] + np.pi) % (2 * np.pi) - np.pi)
+        return bool(place > STEP_M + STEP_M_S * dt_s or heading > TURN_RAD + TURN_RAD_S * dt_s)
+
+    last, false, cuts, first = 0, [], [], None
+    for now in range(1, len(rows)):
+        if not jumps(last, now):
+            last = now
+            continue
+        first = first if first is not None else float(t_s[now])
+        if now + 1 < len(rows) and not jumps(now, now + 1):
+            cuts.append(float(t_s[now]))
+            last = now
+        else:
+            false.append(now)
+    if len(false) + len(cuts) > max(3, MOST_JUMPS * len(rows)):
+        return log, [], first
+    columns = dict(log.columns)
+    for name in POSE_COLUMNS:
+        columns[name] = columns[name].copy()
+        columns[name][rows[false]] = np.nan
+    return replace(log, columns=columns), cuts, None
+
+
+# ---- all logs ----
+
+
+def _other_robot(machine: Machine, logs: Sequence[Log]) -> str | None:
+    """A log whose wheels carry it farther, or turn faster for a duty, than in all other logs."""
+    if len(logs) < 2:
+        return None
+    measures = (
+        ("goes {:.2f} times as far per turn of its wheels", OTHER_TRAVEL, _travel_ratio),
+        ("turns {:.2f} times as far per turn of its wheels", OTHER_TRAVEL, _turn_ratio),
+        ("has wheels {:.2f} times as fast at the same duty", OTHER_SPEED, _speed_per_duty),
+    )
+    for words, tolerance, measure in measures:
+        found = [measure(machine, log) for log in logs]
+        if any(values.size < 10 for values in found):
+            continue
+        centre = np.array([np.median(values) for values in found])
+        error = np.array([_error_of_median(values) for values in found])
+        for k, log in enumerate(logs):
+            others = np.delete(centre, k)
+            ratio = float(centre[k] / np.median(others))
+            sure = SURE * np.hypot(error[k], float(np.median(np.delete(error, k))))
+            apart = np.abs(centre[k] - others) > np.maximum(sure, tolerance * np.abs(others))
+            if apart.all():
+                return (
+                    f"{log.name} looks like another robot than the rest: it {words.format(ratio)}"
+                )
+    return None
+
+
+def _error_of_median(values: Array) -> float:
+    spread = 1.4826 * float(np.median(np.abs(values - np.median(values))))
+    return 1.2533 * spread / np.sqrt(len(values) / 10)  # windows overlap
+
+
+def _travel_ratio(machine: Machine, log: Log) -> Array:
+    wheels, shown = _windows(machine, log, "pose/x_m")
+    return shown / wheels
+
+
+def _turn_ratio(machine: Machine, log: Log) -> Array:
+    wheels, shown = _windows(machine, log, "pose/theta_rad")
+    turned = (shown + np.pi) % (2 * np.pi) - np.pi
+    return turned / wheels
+
+
+def logged_set_points(machine: Machine, logs: Sequence[Log]) -> str | None:
+    """Return why the duty columns look like set-points and not like what was applied, or None.
+
+    A ramp must explain the logs better than the duty as logged by a nat per reading, and better by
+    a third of that than any driver of the catalogue that is slow or weak.
+    """
+    if machine.kind != "robot":
+        return None
+    looked_at = _first_seconds(logs)
+    runs = [make_run(machine, log) for log in looked_at]
+    noise = first_guess(machine, runs)
+    readings = sum(int(np.count_nonzero(~np.isnan(run.outputs))) for run in runs)
+
+    def worth(tried: Sequence[Log], values: Array) -> float:
+        found = track_all(machine, [make_run(machine, log) for log in tried], values, noise)
+        return float(np.nan_to_num(sum(track.log_likelihood for track in found), nan=-1e300))
+
+    believed = machine.believed
+    logged = worth(looked_at, believed)
+    ramps = {rate: worth([_ramped(log, rate) for log in looked_at], believed) for rate in RAMPS_1_S}
+    best = max(ramps, key=ramps.__getitem__)
+    if ramps[best] - logged < readings:
+        return None
+    candidates = {candidate.name: candidate for candidate in machine.candidates()}
+    for name, sizes in SLOW_DRIVERS.items():
+        for size in sizes:
+            values = machine.with_effect(believed, candidates[name], [size])
+            if ramps[best] - worth(looked_at, values) < readings / 3:
+                return None
+    return (
+        f"the duty columns look like set-points: the motors follow them with about {best:g} per "
+        f"second; log the duty that is applied"
+    )
+
+
+def _first_seconds(logs: Sequence[Log]) -> list[Log]:
+    """The first log as far as it counts here."""
+    log = logs[0]
+    rows = log.t_s - log.t_s[0] < LOOK_AT_S
+    columns = {name: values[rows] for name, values in log.columns.items()}
+    return [Log(log.name, log.t_s[rows], columns)]
+
+
+def _ramped(log: Log, rate_1_s: float) -> Log:
+    """The log with duties that change by `rate_1_s` at most."""
+    columns = dict(log.columns)
+    most = rate_1_s * np.diff(log.t_s, append=2 * log.t_s[-1] - log.t_s[-2])
+    for wheel in range(1, 5):
+        wanted = log.columns[f"wheel/{wheel}/duty"]
+        applied = np.empty_like(wanted)
+        now = 0.0
+        for k, (target, step) in enumerate(zip(wanted, most, strict=True)):
+            before = now
+            now += float(np.clip(target - now, -step, step))
+            applied[k] = (before + now) / 2
+        columns[f"wheel/{wheel}/duty"] = applied
+    return replace(log, columns=columns)
+
+
+def too_poor(machine: Machine, limits: dict[str, dict[str, float]]) -> str | None:
+    """Return why nothing found means nothing: hardly any effect would have been seen.
+
+    `limits`: detection limits of the search, by the name of the candidate.
+    """
+    sizes = {
+        candidate.name: {
+            machine.file_parameter(candidate.parameters[k].label): candidate.parameters[k].scale
+            for k in candidate.amplitudes
+        }
+        for candidate in machine.candidates()
+    }
+    seen = [
+        any(limit < VISIBLE_SIZES * sizes[name][key] for key, limit in own.items())
+        for name, own in limits.items()
+        if own and name in sizes
+    ]
+    if not seen or np.mean(seen) >= LEAST_VISIBLE:
+        return None
+    return (
+        f"the robot moves too little: only {sum(seen)} of {len(seen)} effects would have been seen "
+        f"even at {VISIBLE_SIZES:g} times their usual size"
+    )
