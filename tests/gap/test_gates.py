@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from omnislip.gap import find
+from omnislip.gap.events import Impact
 from omnislip.gap.find import find_gap, to_json
 from omnislip.gap.gates import check, logged_set_points, too_poor
 from omnislip.gap.machine import Machine
@@ -288,15 +289,14 @@ def test_logs_that_show_hardly_anything_are_too_poor():
     assert too_poor(MACHINE, near) is None
 
 
-def test_nothing_found_in_poor_logs_is_no_clearance(tmp_path):
-    """Crawling straight on for some seconds says little of most effects."""
-    command = [
-        {"t_s": 0.7 * k, "kind": "velocity", "value": [0.02 * (-1) ** k, 0.0, 0.0]}
-        for k in range(8)
-    ]
-    scenario = Scenario("crawl", 5.0, MODEL, command, sensors=SENSORS)
-    write_log(make_log(scenario, simulate_truth(scenario)), tmp_path / "crawl.csv")
+def test_pushes_that_leave_no_run_to_hold_out_are_a_verdict(tmp_path, monkeypatch):
+    """A push every half second leaves no piece of a second."""
+    logs = [tmp_path / f"run_{k}.csv" for k in range(2)]
+    for k, path in enumerate(logs):
+        write_log(drive(path.stem, seed=k), path)
     write_model(MODEL, tmp_path / "robot.toml")
-    findings = find.find_gap(tmp_path / "robot.toml", [tmp_path / "crawl.csv"], lambda _: None)
+    pushes = [Impact("run_1", 0.5 * k, np.zeros(3), np.zeros(3)) for k in range(1, 18)]
+    monkeypatch.setattr(find, "_impacts", lambda *_: (None, pushes))
+    findings = find_gap(tmp_path / "robot.toml", logs, lambda _: None)
     assert findings.verdict == "insufficient_data"
-    assert "moves too little" in findings.sentence
+    assert "too little is left" in findings.sentence

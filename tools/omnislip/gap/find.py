@@ -139,6 +139,9 @@ def find_gap(
     noise, impacts = _impacts(machine, logs, cuts)
     pushes = cuts + [(impact.run, impact.time_s) for impact in impacts]
     split = split_runs(machine, logs, pushes)
+    if not (split.fitting and split.validation and split.held_out):
+        reason = "between pushes and gaps too little is left to fit, to check and to hold out"
+        return _insufficient(machine, logs, reason, inputs)
     outcome = search(machine, split.fitting, split.validation, noise, progress)
     if not (outcome.selected or wiring or impacts or outcome.leftover):
         reason = too_poor(machine, outcome.limits)

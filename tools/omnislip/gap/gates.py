@@ -59,8 +59,8 @@ SLOW_DRIVERS = {
     "actuation_delay": (0.005, 0.01, 0.02, 0.04, 0.08),
     "current_limit": (4.0, 8.0, 12.0, 16.0, 24.0),
 }
-VISIBLE_SIZES = 5.0
-LEAST_VISIBLE = 0.25
+LEAST_VISIBLE = 0.5
+"""Share of the effects that logs must be able to show at a size worth looking for."""
 
 
 @dataclass(frozen=True)
@@ -570,7 +570,7 @@ def too_poor(machine: Machine, limits: dict[str, dict[str, float]]) -> str | Non
         for candidate in machine.candidates()
     }
     seen = [
-        any(limit < VISIBLE_SIZES * sizes[name][key] for key, limit in own.items())
+        any(limit < sizes[name][key] for key, limit in own.items())
         for name, own in limits.items()
         if own and name in sizes
     ]
@@ -578,5 +578,5 @@ def too_poor(machine: Machine, limits: dict[str, dict[str, float]]) -> str | Non
         return None
     return (
         f"the robot moves too little: only {sum(seen)} of {len(seen)} effects would have been seen "
-        f"even at {VISIBLE_SIZES:g} times their usual size"
+        f"at a size worth looking for"
     )
