@@ -188,10 +188,14 @@ UserTermList list_of(const std::vector<UserTerm> &terms) {
 
 class Engine {
   public:
-    Engine(const std::string &kind, int widest_lanes, const nb::list &user_effects) {
+    Engine(const std::string &kind, int widest_lanes, const nb::list &user_effects, bool electric) {
         require(kind == "robot" || kind == "axis", "kind must be 'robot' or 'axis'");
+        require(kind == "robot" || !electric, "only a robot has electric outputs");
         terms_ = to_user_terms(user_effects, kind == "robot" ? RobotLayout::kMotors : 1);
-        kernel_ = make_kernel(kind == "robot" ? 0 : 1, widest_lanes, list_of(terms_));
+        kernel_ = make_kernel(kind == "axis" ? kAxisEngine
+                              : electric     ? kElectricRobotEngine
+                                             : kRobotEngine,
+                              widest_lanes, list_of(terms_));
         require(kernel_->parameters() <= kMaxParameters, "too many parameters of user effects");
     }
 
@@ -544,8 +548,8 @@ void bind_replay(nb::module_ &m) {
         .def_prop_ro("replay_variance",
                      [](const Track &t) { return copy_to_numpy(t.replay_variance); });
     nb::class_<Engine>(m, "Engine")
-        .def(nb::init<const std::string &, int, const nb::list &>(), "kind"_a, "widest_lanes"_a = 8,
-             "user_effects"_a = nb::list())
+        .def(nb::init<const std::string &, int, const nb::list &, bool>(), "kind"_a,
+             "widest_lanes"_a = 8, "user_effects"_a = nb::list(), "electric"_a = false)
         .def_prop_ro("states", [](const Engine &e) { return e.kernel().states(); })
         .def_prop_ro("outputs", [](const Engine &e) { return e.kernel().outputs(); })
         .def_prop_ro("motors", [](const Engine &e) { return e.kernel().motors(); })

@@ -167,8 +167,8 @@ Track track(const Kernel &kernel, const Recording &recording, const double *valu
     const RowUpdate update(n, m);
     for (std::size_t k = 0; k < rows; ++k) {
         const double *measured = &recording.output[k * m];
-        kernel.linearise_output(loaded.get(), recording.time_s[k], x.data(), predicted.data(),
-                                slope.data());
+        kernel.linearise_output(loaded.get(), recording, static_cast<int>(k), x.data(),
+                                predicted.data(), slope.data());
         if (keep_linear)
             std::copy(slope.data(), slope.data() + m * n, &result.slope[k * m * n]);
         for (int j = 0; j < m; ++j) {

@@ -88,9 +88,9 @@ class Kernel {
     /* From row `row` to the next: next [states_and_memory], transition [states][states]. */
     virtual void linearise(const void *loaded, const Recording &recording, int row, double step_s,
                            const double *state, double *next, double *transition) const = 0;
-    /* output [outputs], slope [outputs][states]. */
-    virtual void linearise_output(const void *loaded, double time_s, const double *state,
-                                  double *output, double *slope) const = 0;
+    /* In row `row`, state [states_and_memory]: output [outputs], slope [outputs][states]. */
+    virtual void linearise_output(const void *loaded, const Recording &recording, int row,
+                                  const double *state, double *output, double *slope) const = 0;
     /* Derivatives of the states of one set at many points: states [points][states], commands
      * [points][motors], derivative [points][states]; time 0, memory settled. */
     virtual void derivatives(const void *loaded, int points, const double *states,
@@ -102,7 +102,10 @@ class Kernel {
                          int count, double step_s, double window_s, double *errors) const = 0;
 };
 
-/* Best kernel for this processor; kind 0 = robot, 1 = axis. `widest_lanes` bounds the width.
+/* The electric robot shows bus voltage and four motor currents after the outputs of the robot. */
+enum EngineKind { kRobotEngine, kAxisEngine, kElectricRobotEngine };
+
+/* Best kernel for this processor. `widest_lanes` bounds the width.
  * The terms must outlive the kernel. */
 std::unique_ptr<Kernel> make_kernel(int kind, int widest_lanes, const UserTermList &terms = {});
 

@@ -20,7 +20,8 @@ RobotInternals<S> internals_of(const RobotPlant<S> &);
 template <class S>
 AxisInternals<S> internals_of(const AxisPlant<S> &);
 
-template <template <class> class PlantOf, class Arch>
+/* `kElectric` outputs follow those of the plant: bus voltage and motor currents, where logged. */
+template <template <class> class PlantOf, class Arch, int kElectric>
 class KernelOf final : public Kernel {
     using S = xsimd::batch<double, Arch>;
     using Plant = PlantOf<S>;
@@ -28,7 +29,7 @@ class KernelOf final : public Kernel {
     static constexpr int kLanes = LaneCount<S>::value;
     static constexpr int kStates = Plant::kStates;
     static constexpr int kAll = Plant::kAll;
-    static constexpr int kOutputs = Plant::kOutputs;
+    static constexpr int kOutputs = Plant::kOutputs + kElectric;
     static constexpr int kMotors = Plant::kMotors;
 
     /* A plant whose lanes hold the sets `values[0..count-1]` (the last one repeated). */
@@ -84,10 +85,30 @@ class KernelOf final : public Kernel {
         }
     }
 
+    /* What the sensors show in row k with state and memory x [kAll]; currents flow under the
+     * command that begins there. */
+    static void observe(const Plant &plant, const Recording &recording, long k, const S *x, S *y) {
+        const double time_s = recording.time_s[k];
+        plant.output(x, S(time_s), y);
+        if constexpr (kElectric > 0) {
+            const LoggedCommands<Plant> commands(plant, recording.time_s.data(),
+                                                 recording.command.data(), k);
+            S command[kMotors], dx[kAll];
+            Internals in;
+            commands(time_s, time_s, command);
+            look(plant, x, command, time_s, dx, in);
+            S *electric = y + Plant::kOutputs;
+            electric[0] = in.bus_v;
+            for (int i = 0; i < kMotors; ++i)
+                electric[1 + i] = in.current_a[i];
+        }
+    }
+
     /* measured - predicted; 0 where nothing was measured. */
-    static void innovate(const Plant &plant, const double *measured, const S &time_s, const S *x,
+    static void innovate(const Plant &plant, const Recording &recording, long k, const S *x,
                          S *innovation) {
-        plant.output(x, time_s, innovation);
+        const double *measured = &recording.output[k * kOutputs];
+        observe(plant, recording, k, x, innovation);
         for (int j = 0; j < kOutputs; ++j) {
             const bool sampled = measured[j] == measured[j];
             innovation[j] = sampled ? S(measured[j]) - innovation[j] : S(0.0);
@@ -194,14 +215,15 @@ class KernelOf final : public Kernel {
         }
     }
 
-    void linearise_output(const void *loaded_set, double time_s, const double *state,
-                          double *output, double *slope) const override {
+    void linearise_output(const void *loaded_set, const Recording &recording, int row,
+                          const double *state, double *output, double *slope) const override {
         const Loaded &loaded = *static_cast<const Loaded *>(loaded_set);
         const double probe = 1e-5;
         for (int first = 0; first < kStates; first += kLanes - 1) {
-            S x[kStates], y[kOutputs];
+            S x[kAll], y[kOutputs];
             seed(state, first, probe, x);
-            loaded.plant.output(x, S(time_s), y);
+            broadcast(state + kStates, x + kStates, kAll - kStates);
+            observe(loaded.plant, recording, row, x, y);
             for (int i = 0; i < kOutputs; ++i) {
                 output[i] = lane(y[i], 0);
                 for (int j = first; j < kStates && j < first + kLanes - 1; ++j) {
@@ -239,8 +261,7 @@ class KernelOf final : public Kernel {
         broadcast(recording.initial_state.data(), x, kStates);
         settle_first(loaded, recording, x, in);
         for (long k = 0; k < recording.rows; ++k) {
-            const double t = recording.time_s[k];
-            innovate(loaded.plant, &recording.output[k * kOutputs], S(t), x, innovation);
+            innovate(loaded.plant, recording, k, x, innovation);
             correct(&track.gain[k * kStates * kOutputs], innovation, x);
             const double *w = &track.whitening[k * kOutputs * kOutputs];
             for (int i = 0; i < kOutputs; ++i) {
@@ -267,10 +288,9 @@ class KernelOf final : public Kernel {
         std::copy_n(filtered, kAll, free);
         for (long k = 0; k < recording.rows; ++k) {
             const double t = recording.time_s[k];
-            const double *measured = &recording.output[k * kOutputs];
-            innovate(loaded.plant, measured, S(t), free, error);
+            innovate(loaded.plant, recording, k, free, error);
             scatter(error, count, plane, errors + k * kOutputs);
-            innovate(loaded.plant, measured, S(t), filtered, innovation);
+            innovate(loaded.plant, recording, k, filtered, innovation);
             correct(&track.gain[k * kStates * kOutputs], innovation, filtered);
             if (t >= restart_s) {
                 std::copy_n(filtered, kAll, free);
@@ -303,9 +323,11 @@ class KernelOf final : public Kernel {
 
 Kernel *OMNISLIP_JOIN(make_kernel_, OMNISLIP_ARCH)(int kind, const UserTermList &terms) {
     using Arch = xsimd::OMNISLIP_ARCH;
-    if (kind == 0)
-        return new KernelOf<RobotPlant, Arch>(terms);
-    return new KernelOf<AxisPlant, Arch>(terms);
+    if (kind == kRobotEngine)
+        return new KernelOf<RobotPlant, Arch, 0>(terms);
+    if (kind == kElectricRobotEngine)
+        return new KernelOf<RobotPlant, Arch, 1 + RobotLayout::kMotors>(terms);
+    return new KernelOf<AxisPlant, Arch, 0>(terms);
 }
 
 }  // namespace omnislip

@@ -119,6 +119,8 @@ MISTAKES = {
     "gyro dead": (lambda g: times(g, ["gyro/z_rad_s"], 0.0), "gyro/z_rad_s does not change"),
     "gyro frozen": (lambda g: frozen(g, ["gyro/z_rad_s"], 3.0, 5.0), "from 3.00 to"),
     "camera frozen": (lambda g: frozen(g, POSE, 2.0, 4.0), "the pose does not change"),
+    "supply in millivolts": (lambda g: times(g, ["supply/voltage_v"], 1e3), "is it in mV?"),
+    "current in milliamperes": (lambda g: times(g, ["wheel/3/current_a"], 1e3), "is it in mA?"),
     "encoder dead": (lambda g: times(g, [COUNTS[1]], 0.0), "wheel/2/encoder_counts stands still"),
 }
 

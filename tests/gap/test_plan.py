@@ -187,7 +187,7 @@ def test_a_gap_json_asks_for_its_ambiguous_set(tmp_path):
     question = planning.read_gap(gap_file(tmp_path, [sure, unsure]))
     assert question.names == ["weak_motor (wheel 2)", "dead_zone"]
     assert question.sizes == {"weak_motor (wheel 2)": {"scale": 0.9}}
-    assert question.blank == (0, 1, 2, 3, 5, 6, 7)
+    assert question.channels == ("gyro/z_rad_s",)
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", '{"effects": 3}', '{"effects": [], "gap": null}'])

@@ -29,7 +29,7 @@ from omnislip.gap.metrics import (
 )
 from omnislip.gap.noise import Noise, tune_noise
 from omnislip.gap.plan import Separation, separating_manoeuvre
-from omnislip.gap.recordings import Run, make_run
+from omnislip.gap.recordings import Run, machine_for, make_run
 from omnislip.gap.search import Outcome, Selected, search
 from omnislip.gap.where import Map, Place, describe, map_gap
 from omnislip.gap.wiring import find_wiring, mend
@@ -118,9 +118,9 @@ def find_gap(
     model = read_model(model_path)
     if effects_path is not None:
         model = with_definitions(model, read_definitions(effects_path), effects_path)
-    machine = Machine(model)
     progress(f"reading {len(log_paths)} logs")
     logs = [mend(read_log(path, model.kind), model.effects) for path in log_paths]
+    machine = machine_for(model, logs)
     files = [path for path in (model_path, effects_path, *log_paths) if path is not None]
     inputs = {str(path): _sha256(path) for path in files}
     reason = _too_little(machine, logs)

@@ -18,7 +18,13 @@ import numpy.typing as npt
 
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import first_guess, track_all
-from omnislip.gap.recordings import ROBOT_CHANNELS, make_run, unwrap_counts, wheel_jacobian
+from omnislip.gap.recordings import (
+    ELECTRIC_CHANNELS,
+    ROBOT_CHANNELS,
+    make_run,
+    unwrap_counts,
+    wheel_jacobian,
+)
 from omnislip.log_file import POSE_COLUMNS, Log
 
 Array = npt.NDArray[np.float64]
@@ -94,7 +100,15 @@ def check(machine: Machine, logs: Sequence[Log]) -> Checked:
 
 def _complaint(machine: Machine, log: Log) -> str | None:
     """Return the first reason why this log cannot be used."""
-    for gate in (_jumping_counts, _stuck_encoder, _clipped_gyro, _flat, _wrong_scale, _late):
+    for gate in (
+        _jumping_counts,
+        _stuck_encoder,
+        _clipped_gyro,
+        _flat,
+        _wrong_scale,
+        _electric,
+        _late,
+    ):
         complaint = gate(machine, log)
         if complaint:
             return complaint
@@ -337,6 +351,20 @@ def _wrong_speed(machine: Machine, log: Log) -> str | None:
             f"the encoders show {np.median(ratio):.3g} times the speed that the duty can give: is "
             f"the duty scaled, or encoder.counts_per_rev wrong?"
         )
+    return None
+
+
+def _electric(machine: Machine, log: Log) -> str | None:
+    """Volts and amperes of a plausible size."""
+    values = machine.model.values
+    stall_a = values["motor.supply_v"] / values["motor.resistance_ohm"]
+    limits = {name: 3.0 * stall_a for name in ELECTRIC_CHANNELS[1:]}
+    limits[ELECTRIC_CHANNELS[0]] = 3.0 * values["motor.supply_v"]
+    for name, most in limits.items():
+        size = float(np.nanpercentile(np.abs(log.columns.get(name, np.zeros(1))), 95))
+        if size > most:
+            unit = "V" if name == ELECTRIC_CHANNELS[0] else "A"
+            return f"{name} shows up to {size:.4g} {unit}: is it in m{unit}?"
     return None
 
 

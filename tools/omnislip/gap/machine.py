@@ -78,15 +78,19 @@ def axis_is_linear(model: Model) -> bool:
 
 
 class Machine:
-    """The believed machine: flat values, the engine that replays it, and what may be fitted."""
+    """The believed machine: flat values, the engine that replays it, and what may be fitted.
 
-    def __init__(self, model: Model) -> None:
+    An `electric` robot's outputs hold bus voltage and motor currents too.
+    """
+
+    def __init__(self, model: Model, electric: bool = False) -> None:
         if model.kind not in ("robot", "axis"):
             raise InputError(f"{model.path}: gap find does not take a model of kind '{model.kind}'")
         self.model = model
         self.kind = model.kind
         self.linear = model.kind == "axis" and axis_is_linear(model)
-        self.engine = _core.Engine(model.kind, user_effects=model.own_effects)
+        self.engine = _core.Engine(model.kind, user_effects=model.own_effects, electric=electric)
+        self.electric = electric
         self.catalogue = {e["name"]: e for e in model.catalogue if model.kind in e["kinds"]}
         self._places = self._layout()
         self.believed = self._flat_values()

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import Noise, track_all, tune_noise
-from omnislip.gap.recordings import Run, make_run
+from omnislip.gap.recordings import Run, machine_for, make_run
 from omnislip.gap.wiring import mend
 from omnislip.log_file import read_log
 from omnislip.model_file import read_model
@@ -255,9 +255,10 @@ def evaluate_model(
     model_path: Path, log_paths: Sequence[Path], progress: Callable[[str], None]
 ) -> dict[str, Any]:
     """Return RMSE of one-second replays and noise floor per channel, for any model on any runs."""
-    machine = Machine(read_model(model_path))
-    effects = machine.model.effects
-    runs = [make_run(machine, mend(read_log(path, machine.kind), effects)) for path in log_paths]
+    model = read_model(model_path)
+    logs = [mend(read_log(path, model.kind), model.effects) for path in log_paths]
+    machine = machine_for(model, logs)
+    runs = [make_run(machine, log) for log in logs]
     progress("tuning the noise")
     noise = tune_noise(machine, runs, machine.believed)
     progress("replaying")

@@ -20,7 +20,7 @@ from omnislip.gap.recordings import Run
 Array = npt.NDArray[np.float64]
 
 SHAFT, BODY, YAW = slice(0, 4), slice(8, 10), 10
-GYRO, POSE_XY, HEADING = 4, slice(5, 7), 7
+GYRO, POSE_XY, HEADING, SUPPLY, CURRENT = 4, slice(5, 7), 7, 8, slice(9, 13)
 TUNING_TIME_S = 24.0
 
 
@@ -87,7 +87,7 @@ def tune_noise(
         return pull - total if np.isfinite(total) else 1e12
 
     simplex = first + np.vstack([np.zeros(len(first)), -np.eye(len(first))])
-    evaluations = 160 if start is None else 70
+    evaluations = (20 if start is None else 9) * len(first)
     options = {"initial_simplex": simplex, "maxfev": evaluations, "xatol": 0.1, "fatol": 2.0}
     best = minimize(cost, first, method="Nelder-Mead", options=options)
     return make(machine, best.x)
@@ -121,17 +121,23 @@ def _robot_start(runs: Sequence[Run]) -> Array:
     heading = _median_variance(runs, [HEADING], 1e-8)
     # A 1 N push on 20 kg for 20 ms at random; 1 % of a motor's stall acceleration likewise.
     # Times are written with 0.01 to 1 ms; commands are mostly held from row to row.
-    return np.log([100.0, 1e-3, 1e-2, gyro, place, heading, 1e-9, 1.0])
+    start = [100.0, 1e-3, 1e-2, gyro, place, heading, 1e-9, 1.0]
+    if runs[0].outputs.shape[1] > SUPPLY:
+        start += [_median_variance(runs, [SUPPLY], 1e-5)]
+        start += [_median_variance(runs, range(CURRENT.start, CURRENT.stop), 1e-4)]
+    return np.log(start)
 
 
 def _robot_noise(machine: Machine, logs: Array) -> Noise:
-    shaft, body, yaw, gyro, place, heading, timing, share = np.exp(logs)
+    shaft, body, yaw, gyro, place, heading, timing, share, *electric = np.exp(logs)
     process = np.zeros(14)
     process[SHAFT], process[BODY], process[YAW] = shaft, body, yaw
     count_rad = 2 * np.pi / float(machine.model.values["encoder.counts_per_rev"])
-    output = np.empty(8)
+    output = np.empty(machine.engine.outputs)
     output[:4] = count_rad**2 / 12
     output[GYRO], output[POSE_XY], output[HEADING] = gyro, place, heading
+    if electric:
+        output[SUPPLY], output[CURRENT] = electric
     initial = np.array([25.0] * 4 + [count_rad**2] * 4 + [0.02, 0.02, 0.05, 1e-4, 1e-4, 1e-4])
     unresolved = float(share) * _stall_acceleration_rad_s2(machine) ** 2
     return Noise(process, output, initial, float(timing), unresolved, logs)

@@ -35,7 +35,14 @@ from omnislip.files import nearest, write_text
 from omnislip.gap.inference import Data, Fit, Hypothesis, fit, linearise, objective
 from omnislip.gap.machine import Candidate, Machine
 from omnislip.gap.noise import Noise, first_guess
-from omnislip.gap.recordings import ROBOT_CHANNELS, Run, make_run, wheel_jacobian
+from omnislip.gap.recordings import (
+    ELECTRIC_CHANNELS,
+    ROBOT_CHANNELS,
+    Run,
+    make_run,
+    robot_channels,
+    wheel_jacobian,
+)
 from omnislip.log_file import Log
 from omnislip.model_file import Model, read_model
 from omnislip.scenario import CONTROL_RATE_HZ, Scenario, Sensors, format_scenario
@@ -51,7 +58,13 @@ REST_S = 0.4
 MOST_TURN_RAD_S = 6.0
 FIT_ITERATIONS = 5
 TRIES_TO_FIT_THE_ROOM = 4
-TYPICAL_SENSORS = Sensors(gyro_noise_rad_s=0.003, pose_noise_m=0.001, pose_noise_rad=0.002)
+TYPICAL_SENSORS = Sensors(
+    gyro_noise_rad_s=0.003,
+    pose_noise_m=0.001,
+    pose_noise_rad=0.002,
+    supply_noise_v=0.02,
+    current_noise_a=0.1,
+)
 
 
 @dataclass(frozen=True)
@@ -66,13 +79,13 @@ class Limits:
 class Question:
     """Effects to tell apart, by the names of their candidates.
 
-    `sizes`: {effect: {parameter: value}} as found in logs; the others get typical ones. `blank`:
-    numbers of the outputs (recordings.ROBOT_CHANNELS) that the robot does not log.
+    `sizes`: {effect: {parameter: value}} as found in logs; the others get typical ones. `channels`:
+    what the robot logs.
     """
 
     names: list[str]
     sizes: dict[str, dict[str, float]] = field(default_factory=dict)
-    blank: tuple[int, ...] = ()
+    channels: tuple[str, ...] = ROBOT_CHANNELS
 
 
 @dataclass(frozen=True)
@@ -320,7 +333,11 @@ def separating_manoeuvre(
     """
     if machine.kind != "robot":
         return None
-    blank = [c for c in range(8) if all(np.isnan(run.outputs[:, c]).all() for run in data.runs)]
+    blank = [
+        c
+        for c in range(machine.engine.outputs)
+        if all(np.isnan(run.outputs[:, c]).all() for run in data.runs)
+    ]
     rehearsal = Rehearsal(machine, Limits(), blank, _rate_of(data.runs[0]))
     truth = _model_of(machine, final)
     without = final.without(index)
@@ -345,8 +362,11 @@ def plan(
     plain = Machine(model)
     taken = {(c.effect, c.wheel) for c in (_named(plain, name) for name in names)}
     kept = [e for e in model.effects if (e.name, e.wheel) not in taken]
-    machine = Machine(replace(model, effects=kept))
-    rehearsal = Rehearsal(machine, limits, question.blank)
+    electric = any(channel in question.channels for channel in ELECTRIC_CHANNELS)
+    machine = Machine(replace(model, effects=kept), electric)
+    channels = robot_channels(machine)
+    blank = [k for k, channel in enumerate(channels) if channel not in question.channels]
+    rehearsal = Rehearsal(machine, limits, blank)
     truths = [_truth(machine, name, sizes.get(name)) for name in names]
     progress("fitting the manoeuvres into the room")
     models = [_model_of(machine, truth) for truth in truths]
@@ -385,8 +405,7 @@ def read_gap(path: Path) -> Question:
             wheel = effect["wheel"]
             name = effect["name"] + ("" if wheel is None else f" (wheel {wheel})")
             sizes = {k: v["value"] for k, v in effect["parameters"].items()}
-            blank = tuple(k for k, c in enumerate(ROBOT_CHANNELS) if c not in logged)
-            return Question([name, *effect["ambiguous_with"]], {name: sizes}, blank)
+            return Question([name, *effect["ambiguous_with"]], {name: sizes}, tuple(logged))
     raise InputError(f"{path}: names no effect that cannot be told from another")
 
 

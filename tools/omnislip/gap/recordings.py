@@ -1,5 +1,6 @@
 """Logs as the replay engine takes them: SI units, wraps removed, a first guess of the state."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,6 +9,7 @@ import numpy.typing as npt
 from omnislip import _core
 from omnislip.gap.machine import Machine
 from omnislip.log_file import Log
+from omnislip.model_file import Model
 
 Array = npt.NDArray[np.float64]
 
@@ -18,6 +20,8 @@ ROBOT_CHANNELS = (
     "pose/y_m",
     "pose/theta_rad",
 )
+ELECTRIC_CHANNELS = ("supply/voltage_v", *(f"wheel/{wheel}/current_a" for wheel in range(1, 5)))
+"""Outputs that follow when logs have any of them: a Machine that is `electric`."""
 
 
 @dataclass(frozen=True)
@@ -48,9 +52,9 @@ def make_run(machine: Machine, log: Log, begin: int = 0, end: int | None = None)
     t_s = np.ascontiguousarray(log.t_s[rows])
     if machine.kind == "robot":
         command, outputs, state = _robot_signals(machine, log, rows, t_s)
-        channels: tuple[str, ...] = ROBOT_CHANNELS
+        channels: tuple[str, ...] = robot_channels(machine)
         counts_per_rad = machine.model.values["encoder.counts_per_rev"] / (2 * np.pi)
-        scale = np.array([counts_per_rad] * 4 + [1.0] * 4)
+        scale = np.array([counts_per_rad] * 4 + [1.0] * (len(channels) - 4))
     else:
         position = "axis/position_m" if machine.linear else "axis/position_rad"
         command = np.ascontiguousarray(log.columns["axis/command"][rows, None])
@@ -61,6 +65,22 @@ def make_run(machine: Machine, log: Log, begin: int = 0, end: int | None = None)
         channels, scale = (position,), np.ones(1)
     recording = machine.engine.recording(t_s, command, outputs, state)
     return Run(log.name, t_s, command, outputs, channels, scale, recording)
+
+
+def machine_for(model: Model, logs: Sequence[Log]) -> Machine:
+    """Return the believed machine with the outputs that the logs have."""
+    measured = any(_varies(log.columns.get(name)) for log in logs for name in ELECTRIC_CHANNELS)
+    return Machine(model, electric=model.kind == "robot" and measured)
+
+
+def _varies(values: Array | None) -> bool:
+    """Whether a column is there and no constant that stands in for a measurement."""
+    return values is not None and bool(np.nanmin(values) < np.nanmax(values))
+
+
+def robot_channels(machine: Machine) -> tuple[str, ...]:
+    """Return the columns that the engine's outputs stand for."""
+    return ROBOT_CHANNELS + ELECTRIC_CHANNELS if machine.electric else ROBOT_CHANNELS
 
 
 def unwrap_counts(counts: Array) -> Array:
@@ -82,7 +102,11 @@ def _robot_signals(
     angles = [unwrap_counts(columns[name]) * rad_per_count for name in ROBOT_CHANNELS[:4]]
     others = [columns.get(name, blank) for name in ROBOT_CHANNELS[4:]]
     others[3] = _unwrap_sampled(others[3])
-    outputs = np.stack([*angles, *others], axis=1)
+    electric = [
+        columns[name] if _varies(columns.get(name)) else blank
+        for name in (ELECTRIC_CHANNELS if machine.electric else ())
+    ]
+    outputs = np.stack([*angles, *others, *electric], axis=1)
     return np.ascontiguousarray(command), outputs, _first_state(machine, t_s, outputs)
 
 
@@ -100,7 +124,7 @@ def _first_state(machine: Machine, t_s: Array, outputs: Array) -> Array:
     values = machine.model.values
     rim = speed * values["robot.wheel_radius_m"] / values["motor.gear_ratio"]
     velocity = np.linalg.pinv(wheel_jacobian(machine)) @ rim
-    first = [column[~np.isnan(column)][:1] for column in outputs[:, 5:].T]
+    first = [column[~np.isnan(column)][:1] for column in outputs[:, 5:8].T]
     pose = [float(value[0]) if value.size else 0.0 for value in first]
     return np.concatenate([speed, outputs[0, :4], velocity, pose])
 

@@ -38,9 +38,11 @@ def mend(log: Log, effects: Sequence[Effect]) -> Log:
             for column, wheel in zip(shown, effect.parameters["wheels"], strict=True):
                 columns[f"wheel/{wheel}/encoder_counts"] = column
         elif effect.name in WIRING:
-            signal = "encoder_counts" if effect.name == "encoder_sign" else "duty"
-            name = f"wheel/{effect.wheel}/{signal}"
-            columns[name] = -columns[name]
+            # The driver measures the current in the sense of its duty.
+            turned = ("encoder_counts",) if effect.name == "encoder_sign" else ("duty", "current_a")
+            for name in (f"wheel/{effect.wheel}/{signal}" for signal in turned):
+                if name in columns:
+                    columns[name] = -columns[name]
     return replace(log, columns=columns)
 
 
