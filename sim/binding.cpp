@@ -505,9 +505,9 @@ nb::dict simulate(const Numbers &parameters, const nb::list &effects,
     ClosedLoopLog log;
     {
         nb::gil_scoped_release release;
-        log = run_closed_loop(values, firmware, command_list, impulse_list, duration_s, step_s,
-                              sensors, on_board ? Carrier::kBoard : Carrier::kPlant,
-                              list_of(terms));
+        log =
+            run_closed_loop(values, firmware, command_list, impulse_list, duration_s, step_s,
+                            sensors, on_board ? Carrier::kBoard : Carrier::kPlant, list_of(terms));
     }
     const std::size_t n = log.time_s.size();
     nb::dict result;

@@ -315,9 +315,7 @@ class Rehearsal:
 
     def _drive(self, model: Model, manoeuvre: Manoeuvre) -> dict[str, Array]:
         """The firmware keeps the believed robot's parameters, whatever the robot is like."""
-        return simulate_truth(
-            self.scenario(model, manoeuvre), firmware_robot=self._machine.model
-        )
+        return simulate_truth(self.scenario(model, manoeuvre), firmware_robot=self._machine.model)
 
 
 def separating_manoeuvre(
