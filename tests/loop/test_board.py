@@ -10,6 +10,7 @@ What differs, and by how much:
 """
 
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,6 +26,11 @@ from loop_run import (
     unwrapped,
 )
 from omnislip import _core
+from omnislip import scenario as scenario_module
+from omnislip.scenario import read_scenario
+from omnislip.simulate import run_scenario
+
+SQUARE = Path(scenario_module.__file__).parent / "scenarios" / "square.toml"
 
 DUTY_STEP = 1 / 2000
 SUPPLY_STEP_V = 33.0 / 1024
@@ -122,6 +128,18 @@ def test_counters_agree_with_the_shafts():
     np.testing.assert_allclose(
         unwrapped(truth["encoder_counts"]), angle / rad_per_count, atol=2.0 + 2.0
     )
+
+
+def test_a_scenario_file_drives_either_carrier():
+    """The square of the demo: the logs have the same columns and tell of the same path."""
+    scenario = read_scenario(SQUARE)
+    stub, board = (run_scenario(scenario, on_board) for on_board in (False, True))
+    assert list(stub.log.columns) == list(board.log.columns)
+    np.testing.assert_array_equal(stub.log.t_s, board.log.t_s)
+    place_m, heading_rad = path_bound_m(stub.truth, scenario.duration_s)
+    apart = np.abs(stub.truth["pose"] - board.truth["pose"]).max(axis=0)
+    assert apart[:2].max() < place_m
+    assert apart[2] < heading_rad
 
 
 def test_boards_on_many_threads_do_not_meet():
