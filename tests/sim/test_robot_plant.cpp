@@ -39,8 +39,11 @@ class EnergyAudit {
     void derivative(const double *x, const double *duty, const double &time_s, double *dx,
                     RobotInternals<double> &in) const {
         RobotPlant<double>::Step step;
-        plant_.begin_step(x, duty, 0.0, step);
-        plant_.derivative(x, step, time_s, dx, in);
+        double all[Layout::kAll] = {}, rate[Layout::kAll] = {}; /* the plant's, memory included */
+        std::copy_n(x, Layout::kStates, all);
+        plant_.begin_step(all, duty, 0.0, step);
+        plant_.derivative(all, step, time_s, rate, in);
+        std::copy_n(rate, Layout::kStates, dx);
         dx[Layout::kStates] = power_w(x, step.duty, in);
     }
 
