@@ -62,10 +62,9 @@ class Robot {
 
     /* What the converter shows in this tick. */
     void measure_supply(std::size_t tick) {
-        const double error_v =
-            sensors_.supply_error_v.empty() ? 0.0 : sensors_.supply_error_v[tick];
+        supply_error_v_ = sensors_.supply_error_v.empty() ? 0.0 : sensors_.supply_error_v[tick];
         const double step_v = sensors_.supply_resolution_v;
-        const double shown_v = std::round((in_.bus_v + error_v) / step_v) * step_v;
+        const double shown_v = std::round(supply_pin_v() / step_v) * step_v;
         supply_mv_ = static_cast<std::uint16_t>(std::clamp(std::lround(shown_v * 1e3), 0L, 65535L));
     }
     std::uint16_t supply_mv() const {
@@ -118,8 +117,9 @@ class Robot {
     const double *current_a() const {
         return in_.current_a;
     }
-    double bus_v() const {
-        return in_.bus_v;
+    /* What the board's converter is given. */
+    double supply_pin_v() const {
+        return in_.bus_v + supply_error_v_;
     }
     const double *sensed() const {
         return sensed_;
@@ -135,6 +135,7 @@ class Robot {
 
     std::vector<double> values_, times_s_, duties_;
     const BoardSensors &sensors_;
+    double supply_error_v_ = 0.0;
     std::uint16_t supply_mv_ = 0;
     double step_s_;
     RobotPlant<double> plant_;
@@ -309,6 +310,7 @@ ClosedLoopLog run_closed_loop(const std::vector<double> &values,
     const long ticks = closed_loop_ticks(duration_s);
     for (long k = 0; k < ticks; ++k) {
         const double time_s = static_cast<double>(k) * kTick_s;
+        robot.measure_supply(static_cast<std::size_t>(k));
         if (board)
             board->wait_for_tick(time_s);
         while (next < commands.size() && commands[next].time_s <= time_s + 1e-9)
@@ -323,7 +325,6 @@ ClosedLoopLog run_closed_loop(const std::vector<double> &values,
             given[i] = true;
         }
         x_before = x_now;
-        robot.measure_supply(static_cast<std::size_t>(k));
         if (board) {
             robot.refresh(time_s);
             record_robot(log, time_s, robot);

@@ -35,12 +35,14 @@ struct Impulse {
  * LF2407A (board/board.h) with the plant at its pins. On the board the recorded robot is that of
  * the tick's begin, under the duty of before. */
 enum class Carrier { kPlant, kBoard };
+
 /* Errors of the sensors that the firmware reads. */
 struct BoardSensors {
     double encoder_start_counts[4] =
         {}; /* counters at t = 0; the fraction is the phase in a count */
     std::vector<double> supply_error_v; /* one per tick, or empty for none */
-    double supply_resolution_v = 1e-3;  /* the firmware's word holds whole mV */
+    double supply_resolution_v = 1e-3;  /* the firmware's word holds whole mV; not on the board,
+                                        whose converter has its own */
 };
 
 /* One entry per tick; vectors of several columns are row major. */

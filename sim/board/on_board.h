@@ -1,8 +1,8 @@
 /* on_board.h - a robot's body on the virtual board: bridges, encoders, currents, supply.
  *
  * Body needs: run(time_s, duration_s), refresh(time_s), set_duty(duty), hold_duty(time_s),
- * shaft_counts(), current_a(), bus_v(). It is run lazily, to every instant at which the board looks
- * at it or a bridge changes.
+ * shaft_counts(), current_a(), supply_pin_v(). It is run lazily, to every instant at which the
+ * board looks at it or a bridge changes.
  *
  * Scales of currents and supply are those of hal/lf2407a/analog.c.
  */
@@ -61,7 +61,7 @@ class OnBoard : public BoardSurroundings, public EncoderSource {
         run_to(seconds(now));
         body_.refresh(at_s_);
         const double share = channel < 4 ? 0.5 + body_.current_a()[channel] / kFullScale_a
-                                         : body_.bus_v() / kFullScale_supply_v;
+                                         : body_.supply_pin_v() / kFullScale_supply_v;
         return share * Converter::kFullScale_v;
     }
 

@@ -40,7 +40,14 @@ ACCESS_S = 5e-6  # 30 register accesses between counters and duty, at 6 cycles e
 
 def simulate(commands, duration_s, on_board, effects=(), step_s=5e-4):
     return _core.simulate(
-        PARAMETERS, list(effects), FIRMWARE, list(commands), [], duration_s, step_s, on_board
+        PARAMETERS,
+        list(effects),
+        FIRMWARE,
+        list(commands),
+        [],
+        duration_s,
+        step_s,
+        on_board=on_board,
     )
 
 
