@@ -50,6 +50,7 @@ class AxisPlant {
     static constexpr int kOutputs = 1; /* position */
     static constexpr int kBase = static_cast<int>(sizeof(kAxisBase) / sizeof(kAxisBase[0]));
     static constexpr Kind kKind = kAxis;
+    static constexpr double kCommandJump = kUnbounded; /* no contact that slips */
 
     void prepare(const S *flat, const bool *active, const UserTermList &terms = {}) {
         effects_ = flat + kBase;

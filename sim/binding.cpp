@@ -15,8 +15,10 @@
 
 #include "axis_plant.h"
 #include "closed_loop.h"
+#include "integrator.h"
 #include "replay.h"
 #include "robot_plant.h"
+#include "speed.h"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -229,6 +231,7 @@ class Engine {
                                  const Array1 &initial, double timing_s2, double unresolved,
                                  double step_s, double window_s, bool keep_linear) const {
         check_size(values.shape(0));
+        require_rate(kernel_->fastest_rate_1_s(values.data(), 1));
         const Noise noise{to_vector(process), to_vector(output), to_vector(initial), timing_s2,
                           unresolved};
         require(noise.process.size() == static_cast<std::size_t>(kernel_->states()) &&
@@ -286,6 +289,11 @@ class Engine {
         }
         const std::size_t sets = values.shape(0);
         const std::size_t outputs = static_cast<std::size_t>(kernel_->outputs());
+        for (std::size_t first = 0; first < values.shape(0); first += kernel_->lanes()) {
+            const auto count = std::min<std::size_t>(kernel_->lanes(), values.shape(0) - first);
+            require_rate(kernel_->fastest_rate_1_s(values.data() + first * values.shape(1),
+                                                   static_cast<int>(count)));
+        }
         std::vector<std::vector<double>> results;
         std::vector<double *> pointers;
         for (const Recording *r : recordings) {
@@ -531,6 +539,19 @@ nb::dict simulate(const Numbers &parameters, const nb::list &effects,
     return result;
 }
 
+nb::dict step_times_ns(const Numbers &parameters, const nb::list &effects,
+                       const std::map<std::string, std::int32_t> &firmware_parameters) {
+    const std::vector<double> values = robot_values(parameters, effects, {}, nb::list());
+    const std::vector<double> plain = robot_values(parameters, nb::list(), {}, nb::list());
+    nb::dict result;
+    result["rigid"] = rigid_step_ns(plain);
+    result["slip"] = slip_step_ns(plain);
+    result["slip, with effects"] = slip_step_ns(values);
+    result["axis"] = axis_step_ns();
+    result["firmware"] = firmware_tick_ns(firmware_values(firmware_parameters));
+    return result;
+}
+
 void bind_replay(nb::module_ &m) {
     nb::class_<Recording>(m, "Recording").def_prop_ro("rows", [](const Recording &r) {
         return r.rows;
@@ -583,5 +604,8 @@ NB_MODULE(_core, m) {
           "supply_resolution_v"_a = 1e-3, "on_board"_a = false, "user_effects"_a = nb::list(),
           "Firmware and plant in closed loop; arrays with one row per control tick of 1 ms. "
           "on_board: through the drivers on the virtual LF2407A instead of the stub HAL.");
+    m.def("step_times_ns", &omnislip::step_times_ns, "parameters"_a, "effects"_a,
+          "firmware_parameters"_a,
+          "Nanoseconds per step of 0.5 ms of each model and per control tick of the firmware.");
     omnislip::bind_replay(m);
 }

@@ -24,21 +24,15 @@ const char *const kParameterNames[] = {
 /* The plant as the board sees it: counters, supply, bridges. */
 class Robot {
   public:
-    Robot(const std::vector<double> &values, const UserTermList &terms, double step_s,
-          const BoardSensors &sensors)
-        : values_(values), sensors_(sensors), step_s_(step_s) {
-        bool active[kEffectCount] = {};
-        for_each_effect(RobotLayout::kMotors, [&](auto effect, int index, int slot) {
-            using E = decltype(effect);
-            const int stride = effect_stride(E::info, RobotLayout::kMotors);
-            for (int k = 0; k < E::info.parameter_count * stride; ++k) {
-                const double value =
-                    values_[static_cast<std::size_t>(RobotLayout::kBase + slot + k)];
-                active[index] = active[index] || value != E::info.parameters[k / stride].neutral;
-            }
-        });
+    Robot(const std::vector<double> &values, const UserTermList &terms,
+          const std::vector<Impulse> &impulses, double step_s, const BoardSensors &sensors)
+        : values_(values), pending_(impulses), sensors_(sensors), step_s_(step_s) {
+        bool active[kEffectCount];
+        mark_active<RobotPlant<double>>(values_.data(), 1, static_cast<int>(values_.size()),
+                                        active);
         plant_.prepare(values_.data(), active, terms);
         rate_1_s_ = plant_.fastest_rate_1_s();
+        require_rate(rate_1_s_);
         rad_per_count_ = 2.0 * kPi / values_[RobotLayout::kBase - 1];
         hold_duty(-kTick_s);
         settle(plant_, x_, duty_, 0.0, in_);
@@ -84,30 +78,46 @@ class Robot {
     void hold_duty(double time_s) {
         times_s_.push_back(time_s);
         duties_.insert(duties_.end(), duty_, duty_ + 4);
+        looked_ = false;
+        if (times_s_.size() > 2 && jumps<RobotPlant<double>>(&duties_[duties_.size() - 4]))
+            jump_s_ = time_s;
     }
 
-    void push(const Impulse &impulse) {
-        const auto &c = plant_.constants();
-        const double theta = x_[RobotLayout::kPose + 2];
-        const double cos_theta = std::cos(theta), sin_theta = std::sin(theta);
-        const double jx = cos_theta * impulse.x_n_s + sin_theta * impulse.y_n_s;
-        const double jy = cos_theta * impulse.y_n_s - sin_theta * impulse.x_n_s;
-        const double turn = impulse.theta_n_m_s / c.inertia_kg_m2;
-        double *v = x_ + RobotLayout::kVelocity;
-        v[0] += jx / c.mass_kg + turn * c.cog_y_m;
-        v[1] += jy / c.mass_kg - turn * c.cog_x_m;
-        v[2] += turn;
-    }
-
+    /* An impulse that falls into the time acts at its own instant: acting at a tick, it would come
+     * a whole tick later if the robot were a hair late. */
     void run(double time_s, double duration_s) {
-        advance(plant_, x_, commands(), time_s, duration_s, step_s_, rate_1_s_, in_);
+        double done_s = 0.0;
+        while (!pending_.empty()) {
+            double before[RobotLayout::kAll];
+            std::copy_n(x_, RobotLayout::kAll, before);
+            integrate(time_s + done_s, duration_s - done_s);
+            double instant_s = kUnbounded;
+            std::size_t next = 0;
+            for (std::size_t i = 0; i < pending_.size(); ++i) {
+                const double own_s =
+                    instant(pending_[i], time_s, done_s, duration_s, before[RobotLayout::kPose]);
+                if (own_s < instant_s) {
+                    instant_s = own_s;
+                    next = i;
+                }
+            }
+            if (instant_s == kUnbounded)
+                return;
+            std::copy_n(before, RobotLayout::kAll, x_);
+            integrate(time_s + done_s, instant_s - done_s);
+            push(pending_[next]);
+            pending_.erase(pending_.begin() + static_cast<long>(next));
+            done_s = instant_s;
+        }
+        integrate(time_s + done_s, duration_s - done_s);
     }
 
     /* Currents, slip and forces at the present state and duty. */
     void refresh(double time_s) {
-        double command[4], dx[RobotLayout::kAll];
+        double command[4];
         commands()(time_s, time_s, command);
-        look(plant_, x_, command, time_s, dx, in_);
+        look(plant_, x_, command, time_s, dx_, in_);
+        looked_ = !plant_.remembers() && !plant_.delays();
         plant_.output(x_, time_s, sensed_);
     }
 
@@ -129,17 +139,58 @@ class Robot {
     }
 
   private:
+    void push(const Impulse &impulse) {
+        const auto &c = plant_.constants();
+        const double theta = x_[RobotLayout::kPose + 2];
+        const double cos_theta = std::cos(theta), sin_theta = std::sin(theta);
+        const double jx = cos_theta * impulse.x_n_s + sin_theta * impulse.y_n_s;
+        const double jy = cos_theta * impulse.y_n_s - sin_theta * impulse.x_n_s;
+        const double turn = impulse.theta_n_m_s / c.inertia_kg_m2;
+        double *v = x_ + RobotLayout::kVelocity;
+        v[0] += jx / c.mass_kg + turn * c.cog_y_m;
+        v[1] += jy / c.mass_kg - turn * c.cog_x_m;
+        v[2] += turn;
+    }
+
+    void integrate(double time_s, double duration_s) {
+        /* LoggedCommands::step_s without looking back, so that a replay takes the same steps */
+        const bool jumped = jump_s_ > times_s_.back() - kJumpSettles_s;
+        const double step_s = jumped ? std::min(step_s_, kJumpStep_s) : step_s_;
+        advance(plant_, x_, commands(), time_s, duration_s, step_s, rate_1_s_, in_,
+                looked_ ? dx_ : nullptr);
+        looked_ = false;
+    }
+
+    /* Time after `time_s` at which the impulse is due, without bound if it is not; x ran from
+     * x_begin at done_s to what it is at the end of the duration. */
+    double instant(const Impulse &impulse, double time_s, double done_s, double duration_s,
+                   double x_begin) const {
+        const double x_end = x_[RobotLayout::kPose];
+        if (!impulse.at_x) {
+            const double after_s = std::max(impulse.trigger - time_s, done_s);
+            return after_s < duration_s ? after_s : kUnbounded;
+        }
+        if ((x_begin < impulse.trigger) == (x_end < impulse.trigger))
+            return kUnbounded;
+        const double share = (impulse.trigger - x_begin) / (x_end - x_begin);
+        return done_s + share * (duration_s - done_s);
+    }
+
     LoggedCommands<RobotPlant<double>> commands() const {
         return {plant_, times_s_.data(), duties_.data(), static_cast<long>(times_s_.size()) - 1};
     }
 
     std::vector<double> values_, times_s_, duties_;
+    std::vector<Impulse> pending_;
     const BoardSensors &sensors_;
     double supply_error_v_ = 0.0;
     std::uint16_t supply_mv_ = 0;
     double step_s_;
     RobotPlant<double> plant_;
     double x_[RobotLayout::kAll] = {};
+    double dx_[RobotLayout::kAll] = {};
+    bool looked_ = false; /* dx_ is the derivative with which the next step begins */
+    double jump_s_ = 0.0; /* time of the last jump of the duty; the begin is one */
     double duty_[4] = {};
     double sensed_[RobotLayout::kOutputs] = {};
     RobotInternals<double> in_ = {};
@@ -217,44 +268,54 @@ void give(control_loop *loop, const Command &command) {
     }
 }
 
-void append(std::vector<double> &to, const double *from, int count) {
-    to.insert(to.end(), from, from + count);
+void allocate(ClosedLoopLog &log, std::size_t ticks) {
+    for (std::vector<double> *one : {&log.time_s, &log.supply_v, &log.gyro_rad_s})
+        one->resize(ticks);
+    for (std::vector<double> *three : {&log.pose, &log.velocity, &log.camera_pose, &log.odometry})
+        three->resize(3 * ticks);
+    for (std::vector<double> *four :
+         {&log.duty, &log.wheel_speed_rad_s, &log.current_a, &log.slip_m_s, &log.drive_force_n})
+        four->resize(4 * ticks);
+    log.encoder_counts.resize(4 * ticks);
+    for (std::vector<std::int32_t> *one :
+         {&log.limited, &log.limit_wheel, &log.fault, &log.fault_wheel})
+        one->resize(ticks);
 }
 
-void record_robot(ClosedLoopLog &log, double time_s, const Robot &robot) {
+/* Row `tick` of a table with `count` columns. */
+template <class T>
+void put_row(std::vector<T> &table, std::size_t tick, const T *row, std::size_t count) {
+    std::copy_n(row, count, table.data() + tick * count);
+}
+
+void record_robot(ClosedLoopLog &log, std::size_t tick, const Robot &robot) {
     const double *x = robot.state();
     const RobotInternals<double> &in = robot.internals();
-    log.time_s.push_back(time_s);
-    append(log.pose, x + RobotLayout::kPose, 3);
-    append(log.velocity, x + RobotLayout::kVelocity, 3);
-    append(log.wheel_speed_rad_s, x + RobotLayout::kSpeed, 4);
-    append(log.current_a, in.current_a, 4);
-    append(log.slip_m_s, in.slip_m_s, 4);
-    append(log.drive_force_n, in.drive_force_n, 4);
-    log.supply_v.push_back(in.bus_v);
-    log.gyro_rad_s.push_back(robot.sensed()[4]);
-    append(log.camera_pose, robot.sensed() + 5, 3);
+    log.time_s[tick] = static_cast<double>(tick) * kTick_s;
+    log.supply_v[tick] = in.bus_v;
+    log.gyro_rad_s[tick] = robot.sensed()[4];
+    put_row(log.pose, tick, x + RobotLayout::kPose, 3);
+    put_row(log.velocity, tick, x + RobotLayout::kVelocity, 3);
+    put_row(log.wheel_speed_rad_s, tick, x + RobotLayout::kSpeed, 4);
+    put_row(log.current_a, tick, in.current_a, 4);
+    put_row(log.slip_m_s, tick, in.slip_m_s, 4);
+    put_row(log.drive_force_n, tick, in.drive_force_n, 4);
+    put_row(log.camera_pose, tick, robot.sensed() + 5, 3);
 }
 
-void record_firmware(ClosedLoopLog &log, const control_loop_telemetry &telemetry) {
-    for (const i16 duty_q15 : telemetry.duty_q15)
-        log.duty.push_back(duty_q15 / 32768.0);
-    log.encoder_counts.insert(log.encoder_counts.end(), telemetry.encoder_counts,
-                              telemetry.encoder_counts + 4);
+void record_firmware(ClosedLoopLog &log, std::size_t tick,
+                     const control_loop_telemetry &telemetry) {
     const double mm_q13 = 1e-3 / 8192.0;
     const double believed[3] = {telemetry.pose.x_mm_q13 * mm_q13, telemetry.pose.y_mm_q13 * mm_q13,
                                 telemetry.pose.theta_mrad_q13 * mm_q13};
-    append(log.odometry, believed, 3);
-    log.limited.push_back(static_cast<std::int32_t>(telemetry.limit));
-    log.limit_wheel.push_back(telemetry.limit_wheel);
-    log.fault.push_back(static_cast<std::int32_t>(telemetry.fault));
-    log.fault_wheel.push_back(telemetry.fault_wheel);
-}
-
-bool due(const Impulse &impulse, double time_s, double x_before, double x_now) {
-    if (!impulse.at_x)
-        return time_s >= impulse.trigger;
-    return (x_before < impulse.trigger) != (x_now < impulse.trigger);
+    for (std::size_t i = 0; i < 4; ++i)
+        log.duty[4 * tick + i] = telemetry.duty_q15[i] / 32768.0;
+    put_row(log.encoder_counts, tick, telemetry.encoder_counts, 4);
+    put_row(log.odometry, tick, believed, 3);
+    log.limited[tick] = static_cast<std::int32_t>(telemetry.limit);
+    log.limit_wheel[tick] = telemetry.limit_wheel;
+    log.fault[tick] = static_cast<std::int32_t>(telemetry.fault);
+    log.fault_wheel[tick] = telemetry.fault_wheel;
 }
 
 }  // namespace
@@ -270,12 +331,7 @@ int firmware_parameter_count() {
     return PARAMETER_COUNT;
 }
 
-ClosedLoopLog run_closed_loop(const std::vector<double> &values,
-                              const std::vector<std::int32_t> &firmware,
-                              const std::vector<Command> &commands,
-                              const std::vector<Impulse> &impulses, double duration_s,
-                              double step_s, const BoardSensors &sensors, Carrier carrier,
-                              const UserTermList &terms) {
+parameters to_settings(const std::vector<std::int32_t> &firmware) {
     parameters settings;
     parameters_set_defaults(&settings);
     for (int id = 0; id < PARAMETER_COUNT; ++id) {
@@ -285,7 +341,17 @@ ClosedLoopLog run_closed_loop(const std::vector<double> &values,
                                         " is out of its range");
         }
     }
-    Robot robot(values, terms, step_s, sensors);
+    return settings;
+}
+
+ClosedLoopLog run_closed_loop(const std::vector<double> &values,
+                              const std::vector<std::int32_t> &firmware,
+                              const std::vector<Command> &commands,
+                              const std::vector<Impulse> &impulses, double duration_s,
+                              double step_s, const BoardSensors &sensors, Carrier carrier,
+                              const UserTermList &terms) {
+    const parameters settings = to_settings(firmware);
+    Robot robot(values, terms, impulses, step_s, sensors);
     hal_host_plant hal = {};
     hal.context = &robot;
     hal.read_encoder_counts = read_counts;
@@ -304,39 +370,30 @@ ClosedLoopLog run_closed_loop(const std::vector<double> &values,
     control_loop_arm(&loop);
 
     ClosedLoopLog log;
-    std::vector<bool> given(impulses.size(), false);
     std::size_t next = 0;
-    double x_before = 0.0;
-    const long ticks = closed_loop_ticks(duration_s);
-    for (long k = 0; k < ticks; ++k) {
+    const std::size_t ticks = static_cast<std::size_t>(closed_loop_ticks(duration_s));
+    allocate(log, ticks);
+    for (std::size_t k = 0; k < ticks; ++k) {
         const double time_s = static_cast<double>(k) * kTick_s;
-        robot.measure_supply(static_cast<std::size_t>(k));
+        robot.measure_supply(k);
         if (board)
             board->wait_for_tick(time_s);
         while (next < commands.size() && commands[next].time_s <= time_s + 1e-9)
             ++next;
         if (next > 0)
             give(&loop, commands[next - 1]);
-        const double x_now = robot.state()[RobotLayout::kPose];
-        for (std::size_t i = 0; i < impulses.size(); ++i) {
-            if (given[i] || !due(impulses[i], time_s, x_before, x_now))
-                continue;
-            robot.push(impulses[i]);
-            given[i] = true;
-        }
-        x_before = x_now;
         if (board) {
             robot.refresh(time_s);
-            record_robot(log, time_s, robot);
+            record_robot(log, k, robot);
             control_loop_tick(&loop);
         } else {
             control_loop_tick(&loop);
             robot.hold_duty(time_s);
             robot.refresh(time_s);
-            record_robot(log, time_s, robot);
+            record_robot(log, k, robot);
             robot.run(time_s, kTick_s);
         }
-        record_firmware(log, loop.telemetry);
+        record_firmware(log, k, loop.telemetry);
     }
     hal_host_attach(nullptr);
     return log;

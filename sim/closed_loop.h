@@ -4,7 +4,7 @@
  * 1 ms under them (the computing time of the tick is not modelled). Commands are repeated every
  * tick, as a host does that keeps the command timeout away. An impulse is a jump of the body's
  * momentum, given in the world frame at the centre of gravity, at a time or where the body passes
- * an x.
+ * an x, between two ticks where that is so: the row of a tick does not yet show an impulse at it.
  */
 #ifndef OMNISLIP_SIM_CLOSED_LOOP_H
 #define OMNISLIP_SIM_CLOSED_LOOP_H
@@ -12,6 +12,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "firmware/parameters.h"
 #include "user_terms.h"
 
 namespace omnislip {
@@ -65,6 +66,9 @@ ClosedLoopLog run_closed_loop(const std::vector<double> &values,
                               const std::vector<Impulse> &impulses, double duration_s,
                               double step_s, const BoardSensors &sensors = {},
                               Carrier carrier = Carrier::kPlant, const UserTermList &terms = {});
+
+/* Parameters of the firmware from the raw value per id; throws as run_closed_loop does. */
+parameters to_settings(const std::vector<std::int32_t> &firmware);
 
 /* Name of the firmware parameter `id`. */
 const char *firmware_parameter_name(int id);

@@ -1353,6 +1353,22 @@ inline int effect_slot_count(int motors) {
     return count;
 }
 
+/* `active`: one flag per effect, up where one of `count` parameter sets of `size` values differs
+ * from neutral. */
+template <class Plant>
+void mark_active(const double *values, int count, int size, bool *active) {
+    for_each_effect(Plant::kMotors, [&](auto effect, int index, int slot) {
+        using E = decltype(effect);
+        const int stride = effect_stride(E::info, Plant::kMotors);
+        active[index] = false;
+        for (int s = 0; s < count; ++s) {
+            const double *own = values + static_cast<long>(s) * size + Plant::kBase + slot;
+            for (int k = 0; k < E::info.parameter_count * stride; ++k)
+                active[index] = active[index] || own[k] != E::info.parameters[k / stride].neutral;
+        }
+    });
+}
+
 }  // namespace omnislip
 
 #endif

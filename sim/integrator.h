@@ -4,31 +4,48 @@
  * value at its begin) / h, so the weighted sum of the stages gives that end value.
  *
  * Error per step O(h^5), stable for h * rate < 2.78 on the negative real axis. `step_count` keeps
- * h * rate <= 1.4 and h <= the wanted step, so a stiff contact is cut finer instead of blowing up.
+ * h * rate <= 1.4 and h <= the wanted step, so a stiff contact is cut finer instead of blowing up;
+ * `require_rate` refuses one so stiff that this would take for ever.
  */
 #ifndef OMNISLIP_SIM_INTEGRATOR_H
 #define OMNISLIP_SIM_INTEGRATOR_H
 
 #include <algorithm>
 #include <cmath>
+#include <cstdio>
+#include <stdexcept>
 
 #include "memory.h"
 
 namespace omnislip {
+
+/* 700 steps per millisecond: some ten times slower than real time. */
+constexpr double kFastestRate_1_s = 1e6;
+
+/* Throws std::invalid_argument for a rate beyond that, or one that is no number. */
+inline void require_rate(double rate_1_s) {
+    if (rate_1_s <= kFastestRate_1_s)
+        return;
+    char message[200];
+    std::snprintf(message, sizeof message,
+                  "the model is too stiff to simulate: its fastest rate is %.1e 1/s, at most %.0e; "
+                  "check masses, inertias, slip_stiffness_s_m and mu_drive",
+                  rate_1_s, kFastestRate_1_s);
+    throw std::invalid_argument(message);
+}
 
 inline int step_count(double duration_s, double step_s, double fastest_rate_1_s) {
     const double steps = std::max(duration_s / step_s, duration_s * fastest_rate_1_s / 1.4);
     return std::max(1, static_cast<int>(std::ceil(steps - 1e-9)));
 }
 
-/* One step of the first n states. */
+/* The rest of a step of the first n states whose first derivative k is known; k is used up. */
 template <int n, class Plant, class S, class Step, class Internals>
-inline void rk4_step(const Plant &plant, S *x, const Step &step, double time_s, double h,
-                     Internals &in) {
+inline void rk4_step_from(S *k, const Plant &plant, S *x, const Step &step, double time_s, double h,
+                          Internals &in) {
     const S half(0.5 * h), full(h), sixth(h / 6.0), third(h / 3.0);
-    const S begin(time_s), middle(time_s + 0.5 * h), end(time_s + h);
-    S k[n], sum[n], probe[n];
-    plant.derivative(x, step, begin, k, in);
+    const S middle(time_s + 0.5 * h), end(time_s + h);
+    S sum[n], probe[n];
     for (int i = 0; i < n; ++i) {
         sum[i] = x[i] + sixth * k[i];
         probe[i] = x[i] + half * k[i];
@@ -48,11 +65,22 @@ inline void rk4_step(const Plant &plant, S *x, const Step &step, double time_s, 
         x[i] = sum[i] + sixth * k[i];
 }
 
+/* One step of the first n states. */
+template <int n, class Plant, class S, class Step, class Internals>
+inline void rk4_step(const Plant &plant, S *x, const Step &step, double time_s, double h,
+                     Internals &in) {
+    S k[n];
+    plant.derivative(x, step, S(time_s), k, in);
+    rk4_step_from<n>(k, plant, x, step, time_s, h, in);
+}
+
 /* Advances x [Plant::kAll] from time_s by duration_s; `commands(begin_s, end_s, command)` gives
- * the mean command over a step. */
+ * the mean command over a step. `first`: the derivative at x, from a caller who has it of a plant
+ * without memory or delay; used up. */
 template <class Plant, class S, class Commands, class Internals>
 inline void advance(const Plant &plant, S *x, const Commands &commands, double time_s,
-                    double duration_s, double step_s, double fastest_rate_1_s, Internals &in) {
+                    double duration_s, double step_s, double fastest_rate_1_s, Internals &in,
+                    S *first = nullptr) {
     const int steps = step_count(duration_s, step_s, fastest_rate_1_s);
     const double h = duration_s / steps;
     S command[Plant::kMotors];
@@ -63,6 +91,8 @@ inline void advance(const Plant &plant, S *x, const Commands &commands, double t
         plant.begin_step(x, command, h, step);
         if (plant.remembers()) {
             rk4_step<Plant::kAll>(plant, x, step, begin_s, h, in);
+        } else if (i == 0 && first != nullptr) {
+            rk4_step_from<Plant::kStates>(first, plant, x, step, begin_s, h, in);
         } else {
             rk4_step<Plant::kStates>(plant, x, step, begin_s, h, in);
         }

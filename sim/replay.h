@@ -81,6 +81,8 @@ class Kernel {
     virtual int motors() const = 0;
     virtual int parameters() const = 0;
     virtual const char *instruction_set() const = 0;
+    /* Fastest rate [1/s] of the first `count` <= lanes() sets; the steps are chosen from it. */
+    virtual double fastest_rate_1_s(const double *values, int count) const = 0;
     /* One parameter set, made ready for the three functions below. */
     virtual std::shared_ptr<const void> load(const double *values) const = 0;
     /* Fills the memory behind the states: as if the first row had lasted for long. */

@@ -40,35 +40,18 @@ class KernelOf final : public Kernel {
 
         Loaded(const double *values, int count, int size, const UserTermList &terms) {
             alignas(64) double spread[kLanes];
-            bool active[kEffectCount] = {};
+            bool active[kEffectCount];
             for (int p = 0; p < size; ++p) {
                 for (int i = 0; i < kLanes; ++i) {
                     spread[i] = values[static_cast<long>(i < count ? i : count - 1) * size + p];
                 }
                 flat[p] = S::load_aligned(spread);
             }
-            mark_active(values, count, size, active);
+            mark_active<Plant>(values, count, size, active);
             plant.prepare(flat, active, terms);
             rate_1_s = plant.fastest_rate_1_s();
         }
     };
-
-    /* An effect runs when any lane holds another value than neutral. */
-    static void mark_active(const double *values, int count, int size, bool *active) {
-        for_each_effect(kMotors, [&](auto effect, int index, int slot) {
-            using E = decltype(effect);
-            const int stride = effect_stride(E::info, kMotors);
-            for (int s = 0; s < count; ++s) {
-                const double *own = values + static_cast<long>(s) * size + Plant::kBase + slot;
-                for (int k = 0; k < E::info.parameter_count; ++k) {
-                    for (int i = 0; i < stride; ++i) {
-                        active[index] =
-                            active[index] || own[k * stride + i] != E::info.parameters[k].neutral;
-                    }
-                }
-            }
-        });
-    }
 
     static void broadcast(const double *from, S *to, int n) {
         for (int i = 0; i < n; ++i)
@@ -147,8 +130,8 @@ class KernelOf final : public Kernel {
                             S *x, Internals &in) {
         const double *time_s = recording.time_s.data();
         const LoggedCommands<Plant> commands(loaded.plant, time_s, recording.command.data(), k);
-        advance(loaded.plant, x, commands, time_s[k], time_s[k + 1] - time_s[k], step_s,
-                loaded.rate_1_s, in);
+        advance(loaded.plant, x, commands, time_s[k], time_s[k + 1] - time_s[k],
+                commands.step_s(step_s), loaded.rate_1_s, in);
     }
 
     int total_parameters() const {
@@ -179,6 +162,10 @@ class KernelOf final : public Kernel {
     }
     const char *instruction_set() const override {
         return OMNISLIP_ARCH_NAME;
+    }
+
+    double fastest_rate_1_s(const double *values, int count) const override {
+        return Loaded(values, count, total_parameters(), terms_).rate_1_s;
     }
 
     std::shared_ptr<const void> load(const double *values) const override {

@@ -68,6 +68,7 @@ struct RobotLayout {
     static constexpr int kOutputs = 8;        /* encoder angles 4, gyro, x, y, theta */
     static constexpr int kBase = static_cast<int>(sizeof(kRobotBase) / sizeof(kRobotBase[0]));
     static constexpr Kind kKind = kRobot;
+    static constexpr double kCommandJump = 0.05; /* duty */
     enum StateIndex { kSpeed = 0, kAngle = 4, kVelocity = 8, kPose = 11 };
     enum MemoryIndex {
         kDrivenDuty = 14,
@@ -90,10 +91,12 @@ struct RobotInternals {
     S external_force_x_n, external_force_y_n, external_torque_nm;
 };
 
-/* What stays during one step: the duty on average over it; of the memory how lags relax. */
+/* What stays during one step: the duty on average over it, the heading from which the robot turns
+ * little; of the memory how lags relax. */
 template <class S>
 struct RobotStep {
     S duty[4];
+    NearbyAngle<S> heading;
     /* only with memory: */
     double length_s, inverse_s; /* inverse 0 for an instant, in which memory stands still */
     S current_a[4], grip[4];    /* at the begin */
@@ -103,6 +106,9 @@ struct RobotStep {
 
 template <class S>
 class RobotPlant : public RobotLayout {
+    using Lot = typename LotOf<S>::Type;
+    static constexpr int kLot = LotOf<S>::kWheels;
+
   public:
     using Step = RobotStep<S>;
 
@@ -123,6 +129,7 @@ class RobotPlant : public RobotLayout {
         });
         hooks_ |= user_.prepare(terms, effects_ + effect_slot_count(kMotors));
         derive_geometry();
+        derive_reciprocals();
         derive_memory();
     }
 
@@ -147,6 +154,7 @@ class RobotPlant : public RobotLayout {
     /* Driver and armature over a step from x [kAll] under a constant duty. */
     void begin_step(const S *x, const S *duty, double length_s, Step &step) const {
         command(duty, step.duty);
+        step.heading = NearbyAngle<S>(x[kPose + 2]);
         if (remembers_)
             recall(x, length_s, step);
     }
@@ -154,14 +162,11 @@ class RobotPlant : public RobotLayout {
     /* dx [kStates], with memory [kAll]. */
     void derivative(const S *x, const Step &step, const S &time_s, S *dx,
                     RobotInternals<S> &in) const {
-        using std::cos;
-        using std::sin;
-        const S *speed = x + kSpeed;
         const S &vx = x[kVelocity];
         const S &vy = x[kVelocity + 1];
         const S &omega = x[kVelocity + 2];
-        const S cos_theta = cos(x[kPose + 2]);
-        const S sin_theta = sin(x[kPose + 2]);
+        S cos_theta, sin_theta;
+        step.heading(x[kPose + 2], sin_theta, cos_theta);
 
         motor(x, step, time_s, in);
         S traction_per_load[4]; /* fT / N */
@@ -171,11 +176,12 @@ class RobotPlant : public RobotLayout {
         BodyTerm<S, 4> external = outside(x, time_s, cos_theta, sin_theta, in);
         body(x, in, traction_per_load, external, dx);
 
-        for (int i = 0; i < 4; ++i) {
-            const S torque = in.motor_torque_nm[i] + in.friction_torque_nm[i] -
-                             radius_m[i] / c_.gear_ratio * in.drive_force_n[i];
-            dx[kSpeed + i] = torque / c_.shaft_inertia_kg_m2[i];
-            dx[kAngle + i] = speed[i];
+        const Lot per_gear_ratio(per_gear_ratio_);
+        for (int i = 0; i < 4; i += kLot) {
+            const Lot road_nm = per_gear_ratio * lot(radius_m + i) * lot(in.drive_force_n + i);
+            const Lot own_nm = lot(in.motor_torque_nm + i) + lot(in.friction_torque_nm + i);
+            put((own_nm - road_nm) * lot(per_shaft_inertia_ + i), dx + kSpeed + i);
+            put(lot(x + kSpeed + i), dx + kAngle + i);
         }
         if (remembers_)
             memorise(x, step, in, radius_m, grip_rate, dx);
@@ -313,8 +319,17 @@ class RobotPlant : public RobotLayout {
         }
     }
 
-    void derive_memory() {
+    /* Divisions take as long as the rest of a step. */
+    void derive_reciprocals() {
+        per_mass_ = S(1.0) / c_.mass_kg;
+        per_inertia_ = S(1.0) / c_.inertia_kg_m2;
+        per_gear_ratio_ = S(1.0) / c_.gear_ratio;
         conductance_s_ = S(1.0) / c_.resistance_ohm;
+        for (int i = 0; i < 4; ++i)
+            per_shaft_inertia_[i] = S(1.0) / c_.shaft_inertia_kg_m2[i];
+    }
+
+    void derive_memory() {
         for (int i = 0; i < 4; ++i) {
             gear_[i].prepare(c_.play_rad[i], c_.stiffness_nm_rad[i], c_.damping_nm_s_rad[i],
                              c_.shaft_inertia_kg_m2[i] * c_.gear_ratio * c_.gear_ratio);
@@ -355,12 +370,14 @@ class RobotPlant : public RobotLayout {
     void memorise(const S *x, const Step &step, const RobotInternals<S> &in, const S *radius_m,
                   const S *grip_rate, S *dx) const {
         const bool settles = step.length_s == kForever_s;
+        S steady_a[4];
+        for (int i = 0; i < 4; i += kLot)
+            put(steady_current_a(i, x + kSpeed, step, in), steady_a + i);
         for (int i = 0; i < 4; ++i) {
             const S rate_1_s = step.coil_gained[i] * S(step.inverse_s);
-            const S steady_a = steady_current_a(i, step.duty[i], x[kSpeed + i], in);
             const S heating = in.current_a[i] * in.current_a[i] - x[kHeat + i] / S(kCoolingTime_s);
             dx[kDrivenDuty + i] = step.duty_rate_1_s[i];
-            dx[kCoilCurrent + i] = rate_1_s * (steady_a - step.current_a[i]);
+            dx[kCoilCurrent + i] = rate_1_s * (steady_a[i] - step.current_a[i]);
             dx[kHeat + i] = settles ? S(0.0) : heating;
             dx[kGrip + i] = bristles_ ? grip_rate[i] : S(0.0);
             dx[kSlack + i] = dx[kTwist + i] = S(0.0);
@@ -446,9 +463,9 @@ class RobotPlant : public RobotLayout {
         for (int i = 0; i < 4; ++i)
             in.conductance_s[i] = heats_ ? warm_conductance_s(x, i) : conductance_s_;
         balance_bus(speed, step, supply.open_circuit_v, in);
-        for (int i = 0; i < 4; ++i) {
-            in.motor_torque_nm[i] = c_.torque_constant_nm_a[i] * in.current_a[i];
-            in.friction_torque_nm[i] = -c_.viscous_friction_nm_s[i] * speed[i];
+        for (int i = 0; i < 4; i += kLot) {
+            put(lot(c_.torque_constant_nm_a + i) * lot(in.current_a + i), in.motor_torque_nm + i);
+            put(-lot(c_.viscous_friction_nm_s + i) * lot(speed + i), in.friction_torque_nm + i);
         }
         if (hooks_ & kShaft) {
             const ShaftTerm<S, 4> term = friction(speed, x + kAngle, in.motor_torque_nm, time_s);
@@ -505,18 +522,22 @@ class RobotPlant : public RobotLayout {
     }
 
     void armature(const S *speed, const Step &step, RobotInternals<S> &in) const {
-        for (int i = 0; i < 4; ++i) {
-            const S steady_a = steady_current_a(i, step.duty[i], speed[i], in);
-            in.current_a[i] = steady_a;
+        for (int i = 0; i < 4; i += kLot) {
+            const Lot steady_a = steady_current_a(i, speed, step, in);
             if (inductive_) {
-                in.current_a[i] = steady_a + step.coil_left[i] * (step.current_a[i] - steady_a);
+                const Lot behind_a = lot(step.current_a + i) - steady_a;
+                put(steady_a + lot(step.coil_left + i) * behind_a, in.current_a + i);
+            } else {
+                put(steady_a, in.current_a + i);
             }
         }
     }
 
-    /* (8) */
-    S steady_current_a(int i, const S &duty, const S &speed, const RobotInternals<S> &in) const {
-        return in.conductance_s[i] * (duty * in.bus_v - c_.back_emf_constant_v_s_rad[i] * speed);
+    /* (8) of the wheels from i on */
+    Lot steady_current_a(int i, const S *speed, const Step &step,
+                         const RobotInternals<S> &in) const {
+        const Lot motion_v = lot(c_.back_emf_constant_v_s_rad + i) * lot(speed + i);
+        return lot(in.conductance_s + i) * (Lot(in.bus_v) * lot(step.duty + i) - motion_v);
     }
 
     void limit_currents(const S *speed, const S *driven, RobotInternals<S> &in) const {
@@ -539,47 +560,49 @@ class RobotPlant : public RobotLayout {
         const S &vx = x[kVelocity];
         const S &vy = x[kVelocity + 1];
         const S &omega = x[kVelocity + 2];
-        S mu[4], shape[4], roller_shape[4], force_scale[4];
-        for (int i = 0; i < 4; ++i) {
-            radius_m[i] = c_.wheel_radius_m[i];
-            mu[i] = c_.mu_drive[i];
-            force_scale[i] = S(1.0);
-            in.hub_speed_m_s[i] = drive_x_[i] * vx + drive_y_[i] * vy + drive_lever_[i] * omega;
-            in.roller_speed_m_s[i] = drive_y_[i] * vx - drive_x_[i] * vy + roller_lever_[i] * omega;
+        S mu[4], shape[4], roller_shape[4];
+        for (int i = 0; i < 4; i += kLot) {
+            const Lot drive_x = lot(drive_x_ + i), drive_y = lot(drive_y_ + i);
+            const Lot x_m_s(vx), y_m_s(vy), turning(omega);
+            put(x_m_s * drive_x + y_m_s * drive_y + turning * lot(drive_lever_ + i),
+                in.hub_speed_m_s + i);
+            put(x_m_s * drive_y - y_m_s * drive_x + turning * lot(roller_lever_ + i),
+                in.roller_speed_m_s + i);
+            put(lot(c_.wheel_radius_m + i), radius_m + i);
+            put(lot(c_.mu_drive + i), mu + i);
         }
         if (hooks_ & kContact) {
-            contact_effects(x, time_s, in, mu, radius_m, shape, roller_shape, force_scale);
+            contact_effects(x, time_s, in, mu, radius_m, shape, roller_shape);
         } else {
-            for (int i = 0; i < 4; ++i)
-                in.slip_m_s[i] = radius_m[i] * wheel_speed(x, i) - in.hub_speed_m_s[i];
-            friction_law(in.slip_m_s, in.roller_speed_m_s, shape, roller_shape);
+            find_slip(x, radius_m, in, in.slip_m_s);
+            friction_law(in.slip_m_s, shape);
+            friction_law(in.roller_speed_m_s, roller_shape);
         }
         if (bristles_)
             bend_bristles(step, in, shape, grip_rate);
-        for (int i = 0; i < 4; ++i) {
-            traction_per_load[i] = mu[i] * shape[i] * force_scale[i];
-            in.roller_force_n[i] = -c_.mu_roller * roller_shape[i];
+        for (int i = 0; i < 4; i += kLot) {
+            put(lot(mu + i) * lot(shape + i), traction_per_load + i);
+            put(Lot(-c_.mu_roller) * lot(roller_shape + i), in.roller_force_n + i);
         }
     }
 
-    /* (13) per friction limit: (2/pi) atan(k s) along and across the wheels. */
-    void friction_law(const S *slip_m_s, const S *roller_speed_m_s, S *shape,
-                      S *roller_shape) const {
-        S angle[8];
-        for (int i = 0; i < 4; ++i) {
-            angle[i] = c_.slip_stiffness_s_m * slip_m_s[i];
-            angle[4 + i] = c_.slip_stiffness_s_m * roller_speed_m_s[i];
-        }
-        arctangents<8>(angle);
-        for (int i = 0; i < 4; ++i) {
-            shape[i] = S(2.0 / kPi) * angle[i];
-            roller_shape[i] = S(2.0 / kPi) * angle[4 + i];
+    /* (11), (12) */
+    void find_slip(const S *x, const S *radius_m, const RobotInternals<S> &in, S *slip_m_s) const {
+        for (int i = 0; i < 4; i += kLot) {
+            Lot turning = Lot(per_gear_ratio_) * lot(x + kSpeed + i);
+            if (soft_)
+                turning = turning + lot(x + kSlack + i);
+            put(lot(radius_m + i) * turning - lot(in.hub_speed_m_s + i), slip_m_s + i);
         }
     }
 
-    S wheel_speed(const S *x, int i) const {
-        const S rolling = x[kSpeed + i] / c_.gear_ratio;
-        return soft_ ? rolling + x[kSlack + i] : rolling;
+    /* (13) per friction limit, along or across the wheels: (2/pi) atan(k s). */
+    void friction_law(const S *slip_m_s, S *shape) const {
+        using std::atan;
+        for (int i = 0; i < 4; i += kLot) {
+            const Lot angle = atan(Lot(c_.slip_stiffness_s_m) * lot(slip_m_s + i));
+            put(Lot(S(2.0 / kPi)) * angle, shape + i);
+        }
     }
 
     /* The bristles' share of the grip relaxes to that of the friction law with the distance
@@ -601,7 +624,7 @@ class RobotPlant : public RobotLayout {
     }
 
     void contact_effects(const S *x, const S &time_s, RobotInternals<S> &in, S *mu, S *radius_m,
-                         S *shape, S *roller_shape, S *force_scale) const {
+                         S *shape, S *roller_shape) const {
         ContactTerm<S, 4> term;
         term.shaft_angle_rad = x + kAngle;
         term.x_m = x[kPose];
@@ -611,18 +634,18 @@ class RobotPlant : public RobotLayout {
         for (int i = 0; i < 4; ++i) {
             term.mu_drive[i] = mu[i];
             term.radius_m[i] = radius_m[i];
-            term.force_scale[i] = force_scale[i];
+            term.force_scale[i] = S(1.0);
             term.drive_direction_rad[i] =
                 x[kPose + 2] + c_.wheel_angle_rad[i] + c_.roller_angle_offset_rad[i] + S(kPi / 2.0);
-            term.slip_m_s[i] = radius_m[i] * wheel_speed(x, i) - in.hub_speed_m_s[i];
         }
         eccentric_radius(term);
+        find_slip(x, term.radius_m, in, term.slip_m_s);
         for (int i = 0; i < 4; ++i) {
-            term.slip_m_s[i] = term.radius_m[i] * wheel_speed(x, i) - in.hub_speed_m_s[i];
             term.scaled_slip[i] = c_.slip_stiffness_s_m * term.slip_m_s[i];
             term.scaled_roller[i] = c_.slip_stiffness_s_m * in.roller_speed_m_s[i];
         }
-        friction_law(term.slip_m_s, in.roller_speed_m_s, term.shape, term.roller_shape);
+        friction_law(term.slip_m_s, term.shape);
+        friction_law(in.roller_speed_m_s, term.roller_shape);
         apply(kContact, [&](auto effect, int slot) {
             using E = decltype(effect);
             if constexpr (!std::is_same<E, WheelEccentricity>::value) {
@@ -635,11 +658,10 @@ class RobotPlant : public RobotLayout {
         inputs.at[kInVF] = in.roller_speed_m_s;
         user_.add(UserTarget::kGrip, inputs, 4, term.mu_drive);
         for (int i = 0; i < 4; ++i) {
-            mu[i] = term.mu_drive[i];
+            mu[i] = term.mu_drive[i] * term.force_scale[i];
             radius_m[i] = term.radius_m[i];
             shape[i] = term.shape[i];
             roller_shape[i] = term.roller_shape[i];
-            force_scale[i] = term.force_scale[i];
             in.slip_m_s[i] = term.slip_m_s[i];
         }
     }
@@ -703,21 +725,27 @@ class RobotPlant : public RobotLayout {
     void body(const S *x, RobotInternals<S> &in, const S *traction_per_load,
               const BodyTerm<S, 4> &external, S *dx) const {
         S along[4];
-        for (int i = 0; i < 4; ++i) {
-            along[i] = traction_per_load[i] + external.force_along_drive_per_load[i];
-            in.load_n[i] = static_load_n_[i];
+        for (int i = 0; i < 4; i += kLot) {
+            put(lot(traction_per_load + i) + lot(external.force_along_drive_per_load + i),
+                along + i);
+            put(lot(static_load_n_ + i), in.load_n + i);
         }
         if (load_moves_)
             transfer_load(in, along, external);
-        S fx = S(0.0), fy = S(0.0), moment = S(0.0);
-        for (int i = 0; i < 4; ++i) {
-            const S drive = in.load_n[i] * along[i];
-            in.drive_force_n[i] = in.load_n[i] * traction_per_load[i];
-            in.roller_force_n[i] = in.load_n[i] * in.roller_force_n[i];
-            fx = fx + drive * drive_x_[i] + in.roller_force_n[i] * drive_y_[i];
-            fy = fy + drive * drive_y_[i] - in.roller_force_n[i] * drive_x_[i];
-            moment = moment + drive * drive_lever_[i] + in.roller_force_n[i] * roller_lever_[i];
+        Lot sum_x(S(0.0)), sum_y(S(0.0)), sum_moment(S(0.0));
+        for (int i = 0; i < 4; i += kLot) {
+            const Lot load_n = lot(in.load_n + i);
+            const Lot drive_n = load_n * lot(along + i);
+            const Lot roller_n = load_n * lot(in.roller_force_n + i);
+            const Lot drive_x = lot(drive_x_ + i), drive_y = lot(drive_y_ + i);
+            put(load_n * lot(traction_per_load + i), in.drive_force_n + i);
+            put(roller_n, in.roller_force_n + i);
+            sum_x = sum_x + drive_n * drive_x + roller_n * drive_y;
+            sum_y = sum_y + drive_n * drive_y - roller_n * drive_x;
+            sum_moment =
+                sum_moment + drive_n * lot(drive_lever_ + i) + roller_n * lot(roller_lever_ + i);
         }
+        S fx = total<S>(sum_x), fy = total<S>(sum_y), moment = total<S>(sum_moment);
         moment = moment - (c_.cog_x_m * fy - c_.cog_y_m * fx) + external.torque_nm;
         const S &ax = external.acceleration_x_m_s2, &ay = external.acceleration_y_m_s2;
         in.external_force_x_n =
@@ -729,12 +757,12 @@ class RobotPlant : public RobotLayout {
         in.external_torque_nm = external.torque_nm;
 
         const S &omega = x[kVelocity + 2];
-        const S alpha = moment / c_.inertia_kg_m2;
+        const S alpha = moment * per_inertia_;
         const S omega2 = omega * omega;
         dx[kVelocity] =
-            fx / c_.mass_kg + alpha * c_.cog_y_m + omega2 * c_.cog_x_m + omega * x[kVelocity + 1];
+            fx * per_mass_ + alpha * c_.cog_y_m + omega2 * c_.cog_x_m + omega * x[kVelocity + 1];
         dx[kVelocity + 1] =
-            fy / c_.mass_kg - alpha * c_.cog_x_m + omega2 * c_.cog_y_m - omega * x[kVelocity];
+            fy * per_mass_ - alpha * c_.cog_x_m + omega2 * c_.cog_y_m - omega * x[kVelocity];
         dx[kVelocity + 2] = alpha;
     }
 
@@ -764,11 +792,9 @@ class RobotPlant : public RobotLayout {
     }
 
     SensorTerm<S, 4> sensors(const S *x, const S &time_s) const {
-        using std::cos;
-        using std::sin;
         SensorTerm<S, 4> term;
-        const S cos_theta = cos(x[kPose + 2]);
-        const S sin_theta = sin(x[kPose + 2]);
+        S cos_theta, sin_theta;
+        sine_cosine(x[kPose + 2], sin_theta, cos_theta);
         term.gyro_rad_s = x[kVelocity + 2];
         term.x_m = x[kPose];
         term.y_m = x[kPose + 1];
@@ -806,7 +832,7 @@ class RobotPlant : public RobotLayout {
     bool active_[kEffectCount] = {};
     unsigned hooks_ = 0;
     bool load_moves_ = false, bus_sags_ = false;
-    S conductance_s_;
+    S per_mass_, per_inertia_, per_gear_ratio_, per_shaft_inertia_[4], conductance_s_;
     SoftGear<S> gear_[4];
     bool delays_ = false, remembers_ = false, inductive_ = false, heats_ = false;
     bool bristles_ = false, soft_ = false;

@@ -79,7 +79,7 @@ def test_delay_of_whole_rows_shifts_the_outputs(rows, seed):
     duty = swaying_duty(len(time), seed)
     duty[0] = 0.0
     late = parameter_set(effects=[("actuation_delay", "delay_s", rows * ROW_S)])
-    plain, shifted = simulate([parameter_set(), late], time, duty)
+    plain, shifted = simulate([parameter_set(), late], time, duty, step_s=1e-4)
     np.testing.assert_allclose(shifted[rows:], plain[: len(time) - rows], rtol=0, atol=1e-8)
 
 
@@ -92,7 +92,7 @@ def test_memory_does_not_leak_into_other_lanes(run):
         np.testing.assert_allclose(beside, alone, rtol=1e-9, atol=1e-9)
 
 
-def closed_loop(name, value=None):
+def closed_loop(name, value=None, step_s=5e-4):
     effects = []
     if name:
         parameter, typical = TYPICAL[name]
@@ -105,11 +105,12 @@ def closed_loop(name, value=None):
         {"t_s": 0.05, "kind": "duty", "value": [0.4, -0.2, 0.3, 0.1]},
         {"t_s": 0.25, "kind": "duty", "value": [-0.4, 0.1, 0.3, 0.2]},
     ]
-    return _core.simulate(values, effects, firmware, commands, [], 0.4)
+    return _core.simulate(values, effects, firmware, commands, [], 0.4, step_s)
 
 
 def test_late_driver_shifts_the_closed_loop_by_its_ticks():
-    plain, late = closed_loop(None), closed_loop("actuation_delay", 0.007)
+    """With steps as fine as those after a jump: these follow the command, not what acts."""
+    plain, late = closed_loop(None, None, 1e-4), closed_loop("actuation_delay", 0.007, 1e-4)
     np.testing.assert_array_equal(plain["duty"], late["duty"])
     for column in ("wheel_speed_rad_s", "pose", "current_a"):
         np.testing.assert_allclose(late[column][7:], plain[column][:-7], rtol=0, atol=1e-9)

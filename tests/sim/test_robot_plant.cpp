@@ -206,6 +206,24 @@ static void coasting_robot_slides_to_the_stopping_distance(void) {
     TEST_ASSERT_DOUBLE_WITHIN(0.08 * a * short_of, 2.0 * 0.4 - 0.08 * a, robot.x[Layout::kPose]);
 }
 
+/* Motors without torque, wheels that roll: the rollers brake with mu_F m g sqrt(3) / 2 the robot
+ * and, through the drive, four rotors of n^2 J0 / R^2 whose rims move half as fast. */
+static void free_robot_rolls_out_on_its_rollers(void) {
+    Robot robot(RobotModel()
+                    .set("motor.torque_constant_nm_a", 0.0)
+                    .set("motor.viscous_friction_nm_s", 0.0)
+                    .set("contact.slip_stiffness_s_m", 4000.0));
+    const double rolling_rad_s = 0.5 * 1.5 * 12.0 / 0.05;
+    robot.x = {-rolling_rad_s, -rolling_rad_s, rolling_rad_s, rolling_rad_s};
+    robot.x[Layout::kVelocity] = 1.5;
+    robot.drive(kCoast, 2.0);
+    const double rotors_kg = 144.0 * 2.5e-5 / (0.05 * 0.05);
+    const double a = 0.05 * 20.0 * kGravity_m_s2 * kHalfSqrt3 / (20.0 + rotors_kg);
+    const double short_of = 2.0 / kPi / (4000.0 * kHalfSqrt3 * (1.5 - 2.0 * a));
+    TEST_ASSERT_DOUBLE_WITHIN(2.0 * a * short_of, 1.5 - 2.0 * a, robot.x[Layout::kVelocity]);
+    TEST_ASSERT_DOUBLE_WITHIN(2.0 * a * short_of, 3.0 - 2.0 * a, robot.x[Layout::kPose]);
+}
+
 /* Wheels that spin far too fast push with all the grip there is: a = mu g / 2 straight ahead. */
 static void spinning_wheels_accelerate_at_the_limit_of_grip(void) {
     Robot robot(RobotModel()
@@ -335,6 +353,7 @@ int main(void) {
     RUN_TEST(locked_wheels_brake_ahead_as_the_geometry_says);
     RUN_TEST(locked_wheels_brake_sideways_as_the_geometry_says);
     RUN_TEST(coasting_robot_slides_to_the_stopping_distance);
+    RUN_TEST(free_robot_rolls_out_on_its_rollers);
     RUN_TEST(spinning_wheels_accelerate_at_the_limit_of_grip);
     RUN_TEST(spinning_wheels_turn_the_robot_at_mu_m_g_l_over_iz);
     RUN_TEST(alternating_sum_of_slip_is_that_of_the_wheels);

@@ -1,64 +1,156 @@
-"""`tools/bench`: simulated seconds per second of the closed loop and of batched replays."""
+"""`tools/bench`: what the simulation costs here, how exact it is, and MuJoCo beside it.
 
+One core is measured in processor time, several in time on the clock; each is the best of a few.
+"""
+
+import importlib.util
+import os
 import resource
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 from rich.console import Console
 from rich.table import Table
 
 from omnislip import _core
+from omnislip.firmware_parameters import firmware_parameters
 from omnislip.gap.machine import Machine
 from omnislip.gap.recordings import Run, make_run
 from omnislip.model_file import NOMINAL_ROBOT, read_model
 from omnislip.scenario import Scenario, read_scenario
 from omnislip.simulate import run_scenario, simulate_truth
 
-SCENARIO = Path(__file__).parent / "scenarios" / "identification.toml"
+Array = npt.NDArray[np.float64]
+
+SCENARIOS = Path(__file__).parent / "scenarios"
 REPETITIONS = 5
 SETS = 128
+PLANT_STEP_S = 5e-4
+REFINED_STEP_S = 2.5e-5
+MUJOCO_STEP_S = 1e-3
+MUJOCO_REFINED_STEP_S = 1e-4
+EFFECTS = {
+    "supply_sag": {"source_resistance_ohm": 0.1},
+    "coulomb_friction": {"torque_nm": 0.005},
+    "load_transfer": {"cog_height_m": 0.1},
+    "cog_offset": {"x_m": 0.02},
+}
 
 
-def best_time_s(work: Callable[[], object]) -> float:
+def best_time_s(
+    work: Callable[[], object], clock: Callable[[], float] = time.process_time
+) -> float:
     """Return the shortest of a few timings: what the work costs when nothing disturbs it."""
     times = []
     for _ in range(REPETITIONS):
-        begin = time.perf_counter()
+        begin = clock()
         work()
-        times.append(time.perf_counter() - begin)
+        times.append(clock() - begin)
     return min(times)
 
 
 def main() -> None:
-    """Print the table of figures."""
-    scenario = read_scenario(SCENARIO)
-    table = Table(title="simulated seconds per second (best of 5)")
-    for heading in ("what", "step", "lanes", "per second"):
-        table.add_column(heading, justify="left" if heading == "what" else "right")
-    for model, changed in _closed_loops(scenario):
-        spent = best_time_s(lambda own=changed: simulate_truth(own))
-        table.add_row(model, "0.5 ms", "1", f"{changed.duration_s / spent:,.0f}")
+    """Print the tables."""
+    console = Console()
+    steps = _step_times()
+    console.print(_models(steps))
+    console.print(_closed_loops(steps["firmware"]))
+    console.print(_batches())
+    if importlib.util.find_spec("mujoco") is None:
+        console.print("MuJoCo is not installed: pip install mujoco")
+    else:
+        console.print(_beside_mujoco(steps["slip"]))
+    peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    console.print(f"peak memory of this process: {peak_mb:.0f} MB")
+
+
+def _table(title: str, *headings: str) -> Table:
+    table = Table(title=title, title_justify="left")
+    for number, heading in enumerate(headings):
+        table.add_column(heading, justify="left" if number == 0 else "right")
+    return table
+
+
+def _step_times() -> dict[str, float]:
+    model = read_model(NOMINAL_ROBOT)
+    parameters, _ = model.to_core()
+    effects = [{"name": name, "parameters": numbers} for name, numbers in EFFECTS.items()]
+    return _core.step_times_ns(parameters, effects, firmware_parameters(model.values))
+
+
+def _models(steps: dict[str, float]) -> Table:
+    table = _table("one core, one robot", "model", "ns per step", "step", "times real time")
+    for name in ("rigid", "slip", "slip, with effects", "axis"):
+        label = f"slip with {', '.join(EFFECTS)}" if name == "slip, with effects" else name
+        speed = PLANT_STEP_S * 1e9 / steps[name]
+        table.add_row(label, f"{steps[name]:.0f}", "0.5 ms", f"{speed:,.0f}")
+    firmware = f"{1e6 / steps['firmware']:,.0f}"
+    table.add_row("firmware alone", f"{steps['firmware']:.0f}", "1 ms tick", firmware)
+    return table
+
+
+def _closed_loops(firmware_ns: float) -> Table:
+    table = _table(
+        "closed loop, firmware at 1 kHz, one core",
+        "scenario",
+        "slip model",
+        "step",
+        "times real time",
+        "firmware",
+        "off 25 us steps",
+    )
+    for name in ("identification", "square", "straight_impact"):
+        for compensation in (False, True)[: 1 if name == "identification" else 2]:
+            scenario = replace(
+                read_scenario(SCENARIOS / f"{name}.toml"), slip_compensation=compensation
+            )
+            refined = simulate_truth(scenario, REFINED_STEP_S)["pose"]
+            for step_s in (PLANT_STEP_S, PLANT_STEP_S / 2):
+                table.add_row(*_closed_loop(scenario, step_s, refined, firmware_ns))
+    return table
+
+
+def _closed_loop(
+    scenario: Scenario, step_s: float, refined: Array, firmware_ns: float
+) -> Iterator[str]:
+    spent = best_time_s(lambda: simulate_truth(scenario, step_s))
+    apart_m = np.abs(simulate_truth(scenario, step_s)["pose"] - refined)[:, :2].max()
+    yield scenario.name
+    yield "used" if scenario.slip_compensation else "not used"
+    yield f"{1e3 * step_s:g} ms"
+    yield f"{scenario.duration_s / spent:,.0f}"
+    yield f"{firmware_ns * 1e-9 * scenario.duration_s * 1e3 / spent:.0%}"
+    yield f"{1e3 * apart_m:.4f} mm"
+
+
+def _batches() -> Table:
+    table = _table(
+        f"replays of one log, {SETS} parameter sets, steps of 1 ms",
+        "instruction set",
+        "lanes",
+        "cores",
+        "simulated seconds per second",
+    )
     machine = Machine(read_model(NOMINAL_ROBOT))
-    run = make_run(machine, run_scenario(scenario).log)
+    run = make_run(machine, run_scenario(read_scenario(SCENARIOS / "identification.toml")).log)
+    cores = sorted(os.sched_getaffinity(0))
     for lanes in (2, 4, 8):
         engine = _core.Engine("robot", lanes)
         track = _track(engine, machine, run)
-        name = f"replays of a log, both cores, {engine.instruction_set}"
-        spent = best_time_s(lambda own=(engine, track): _replay_batch(*own, machine, run))
-        table.add_row(name, "1 ms", str(engine.lanes), f"{SETS * run.duration_s / spent:,.0f}")
-    Console().print(table)
-    peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    print(f"peak memory of this process: {peak_mb:.0f} MB")
-
-
-def _closed_loops(scenario: Scenario) -> list[tuple[str, Scenario]]:
-    return [
-        ("closed loop, firmware with slip model", replace(scenario, slip_compensation=True)),
-        ("closed loop, firmware without slip model", replace(scenario, slip_compensation=False)),
-    ]
+        for count in sorted({1, 2, len(cores) // 2, len(cores)} & set(range(1, len(cores) + 1))):
+            os.sched_setaffinity(0, cores[:count])
+            clock = time.process_time if count == 1 else time.perf_counter
+            spent = best_time_s(
+                lambda own=(engine, track): _replay_batch(*own, machine, run), clock
+            )
+            speed = f"{SETS * run.duration_s / spent:,.0f}"
+            table.add_row(engine.instruction_set, str(engine.lanes), str(count), speed)
+        os.sched_setaffinity(0, cores)
+    return table
 
 
 def _replay_batch(engine: _core.Engine, track: _core.Track, machine: Machine, run: Run) -> None:
@@ -70,6 +162,60 @@ def _replay_batch(engine: _core.Engine, track: _core.Track, machine: Machine, ru
 def _track(engine: _core.Engine, machine: Machine, run: Run) -> _core.Track:
     ones = np.ones(engine.states)
     return engine.track([run.recording], machine.believed, ones, np.ones(engine.outputs), ones)[0]
+
+
+def _beside_mujoco(slip_step_ns: float) -> Table:
+    """The duties of a run with firmware, in rows of 5 ms, through both engines."""
+    scenario = replace(read_scenario(SCENARIOS / "square.toml"), duration_s=4.0)
+    truth = simulate_truth(scenario)
+    duty = truth["duty"].reshape(-1, 5, 4).mean(axis=1)
+    reference = _plant_path(duty, 2e-5)
+    own = _plant_path(duty, PLANT_STEP_S)
+    plant_speed = PLANT_STEP_S * 1e9 / slip_step_ns
+    spent = best_time_s(lambda: _mujoco_path(duty, MUJOCO_STEP_S))
+    mujoco_speed = scenario.duration_s / spent
+    coarse = _mujoco_path(duty, MUJOCO_STEP_S)
+    fine = _mujoco_path(duty, MUJOCO_REFINED_STEP_S)
+    table = _table(
+        "the same duties for 4 s, one core, no firmware",
+        "engine",
+        "step",
+        "times real time",
+        "off its own refined run",
+        "off the plant's refined run",
+    )
+    for name, step, speed, apart, off in (
+        ("omnislip", "0.5 ms", plant_speed, own - reference, own - reference),
+        ("MuJoCo", "1 ms", mujoco_speed, coarse - fine, coarse - reference),
+    ):
+        millimetres = [f"{1e3 * np.linalg.norm(a, axis=1).max():.2g} mm" for a in (apart, off)]
+        table.add_row(name, step, f"{speed:,.0f}", *millimetres)
+    table.caption = f"ratio of the speeds: {plant_speed / mujoco_speed:.0f}"
+    return table
+
+
+def _plant_path(duty: Array, step_s: float) -> Array:
+    """Return x, y [m] (rows, 2) of the nominal plant from rest, rows of 5 ms."""
+    machine = Machine(read_model(NOMINAL_ROBOT))
+    engine = machine.engine
+    time_s = np.arange(len(duty)) * 5e-3
+    silent = np.zeros((len(duty), engine.outputs))
+    still = np.zeros(engine.states)
+    recording = engine.recording(time_s, np.ascontiguousarray(duty), silent, still)
+    track = engine.track([recording], machine.believed, still, np.ones(engine.outputs), still)
+    return -engine.replays([recording], track, machine.believed[None], step_s, 1e9)[0][0, :, 5:7]
+
+
+def _mujoco_path(duty: Array, step_s: float) -> Array:
+    from omnislip.mujoco_robot import MujocoRobot
+
+    parameters, _ = read_model(NOMINAL_ROBOT).to_core()
+    robot = MujocoRobot(parameters, step_s)
+    path = np.zeros((len(duty), 2))
+    for row, held in enumerate(duty):
+        path[row] = robot.pose()[:2]
+        robot.drive(held, 5e-3)
+    return path
 
 
 if __name__ == "__main__":

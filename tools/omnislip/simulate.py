@@ -40,11 +40,15 @@ def run_scenario(scenario: Scenario, on_board: bool = False) -> Run:
 
 
 def simulate_truth(
-    scenario: Scenario, on_board: bool = False, firmware_robot: Model | None = None
+    scenario: Scenario,
+    on_board: bool = False,
+    firmware_robot: Model | None = None,
+    step_s: float = 5e-4,
 ) -> dict[str, Array]:
     """Return the 1 kHz arrays (n rows) of the closed loop, names and units as in _core.simulate.
 
     The firmware is set up for `firmware_robot`, by default for the robot of the scenario.
+    step_s: largest step of the integrator.
     """
     parameters, effects = scenario.model.to_core()
     try:
@@ -62,6 +66,7 @@ def simulate_truth(
             scenario.commands,
             scenario.impulses,
             scenario.duration_s,
+            step_s,
             on_board=on_board,
             encoder_start_counts=sensors.encoder_start_counts,
             supply_error_v=_supply_error_v(scenario, ticks),

@@ -1,0 +1,116 @@
+#include "speed.h"
+
+#include <algorithm>
+#include <chrono>
+
+#include "axis_plant.h"
+#include "closed_loop.h"
+#include "firmware/control_loop.h"
+#include "hal/host/hal_host.h"
+#include "integrator.h"
+#include "rigid_model.h"
+#include "robot_plant.h"
+
+namespace omnislip {
+namespace {
+
+constexpr double kStep_s = 5e-4;
+constexpr int kMeasurements = 200, kRepetitions = 1000;
+
+/* Least nanoseconds per call of `work`. */
+template <class Work>
+double least_ns(Work &&work) {
+    using Clock = std::chrono::steady_clock;
+    double least = kUnbounded;
+    for (int i = 0; i < kMeasurements; ++i) {
+        const Clock::time_point begin = Clock::now();
+        for (int k = 0; k < kRepetitions; ++k)
+            work();
+        const std::chrono::duration<double, std::nano> spent = Clock::now() - begin;
+        least = std::min(least, spent.count() / kRepetitions);
+    }
+    return least;
+}
+
+template <class Plant, class Internals>
+double plant_step_ns(const Plant &plant, const double *duty) {
+    double x[Plant::kAll] = {};
+    Internals in = {};
+    const double rate_1_s = plant.fastest_rate_1_s(), time_s = 0.0;
+    const LoggedCommands<Plant> commands(plant, &time_s, duty, 0);
+    return least_ns([&] { advance(plant, x, commands, time_s, kStep_s, kStep_s, rate_1_s, in); });
+}
+
+void turning_counts(void *context, std::uint16_t counts[4]) {
+    auto *tick = static_cast<std::uint16_t *>(context);
+    *tick = static_cast<std::uint16_t>(*tick + 40);
+    std::fill_n(counts, 4, *tick);
+}
+void ignore_duty(void *, const std::int16_t *) {}
+void no_currents(void *, std::int16_t current_ma[4]) {
+    std::fill_n(current_ma, 4, static_cast<std::int16_t>(0));
+}
+std::uint16_t full_supply(void *) {
+    return 24000;
+}
+
+}  // namespace
+
+double rigid_step_ns(const std::vector<double> &values) {
+    RobotPlant<double> plant;
+    bool active[kEffectCount];
+    mark_active<RobotPlant<double>>(values.data(), 1, static_cast<int>(values.size()), active);
+    plant.prepare(values.data(), active);
+    const RigidModel rigid(plant.constants());
+    const double voltage_v[4] = {4.8, -2.4, 7.2, 2.4};
+    double x[RigidModel::kStates] = {};
+    RigidInternals in;
+    return least_ns([&] { advance(rigid, x, voltage_v, 0.0, kStep_s, kStep_s, 0.0, in); });
+}
+
+double slip_step_ns(const std::vector<double> &values) {
+    using Plant = RobotPlant<double>;
+    Plant plant;
+    bool active[kEffectCount];
+    mark_active<Plant>(values.data(), 1, static_cast<int>(values.size()), active);
+    plant.prepare(values.data(), active);
+    const double duty[4] = {0.2, -0.1, 0.3, 0.1};
+    return plant_step_ns<Plant, RobotInternals<double>>(plant, duty);
+}
+
+double axis_step_ns() {
+    using Plant = AxisPlant<double>;
+    std::vector<double> values;
+    for (const BaseParameter &p : kAxisBase)
+        values.push_back(p.value);
+    values.resize(static_cast<std::size_t>(Plant::kBase + effect_slot_count(Plant::kMotors)));
+    const bool active[kEffectCount] = {};
+    Plant plant;
+    plant.prepare(values.data(), active);
+    const double command = 0.2;
+    return plant_step_ns<Plant, AxisInternals<double>>(plant, &command);
+}
+
+double firmware_tick_ns(const std::vector<std::int32_t> &firmware) {
+    const parameters settings = to_settings(firmware);
+    std::uint16_t tick = 0;
+    hal_host_plant hal = {};
+    hal.context = &tick;
+    hal.read_encoder_counts = turning_counts;
+    hal.write_duty = ignore_duty;
+    hal.read_supply_mv = full_supply;
+    hal.read_currents_ma = no_currents;
+    hal_host_attach(&hal);
+    control_loop loop;
+    control_loop_init(&loop, &settings);
+    control_loop_tick(&loop); /* BOOT -> IDLE */
+    control_loop_arm(&loop);
+    const double spent_ns = least_ns([&] {
+        control_loop_command_velocity(&loop, 500, 300, 1000);
+        control_loop_tick(&loop);
+    });
+    hal_host_attach(nullptr);
+    return spent_ns;
+}
+
+}  // namespace omnislip
