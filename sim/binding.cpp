@@ -229,11 +229,12 @@ class Engine {
     std::vector<Track> tracks_of(const std::vector<const Recording *> &recordings,
                                  const Array1 &values, const Array1 &process, const Array1 &output,
                                  const Array1 &initial, double timing_s2, double unresolved,
-                                 double step_s, double window_s, bool keep_linear) const {
+                                 double unresolved_current, double step_s, double window_s,
+                                 bool keep_linear) const {
         check_size(values.shape(0));
         require_rate(kernel_->fastest_rate_1_s(values.data(), 1));
-        const Noise noise{to_vector(process), to_vector(output), to_vector(initial), timing_s2,
-                          unresolved};
+        const Noise noise{to_vector(process), to_vector(output), to_vector(initial),
+                          timing_s2,          unresolved,        unresolved_current};
         require(noise.process.size() == static_cast<std::size_t>(kernel_->states()) &&
                     noise.initial.size() == noise.process.size() &&
                     noise.output.size() == static_cast<std::size_t>(kernel_->outputs()),
@@ -582,8 +583,8 @@ void bind_replay(nb::module_ &m) {
              "initial_state"_a)
         .def("derivatives", &Engine::derivatives_of, "values"_a, "states"_a, "commands"_a)
         .def("track", &Engine::tracks_of, "recordings"_a, "values"_a, "process"_a, "output"_a,
-             "initial"_a, "timing_s2"_a = 0.0, "unresolved"_a = 0.0, "step_s"_a = 1e-3,
-             "window_s"_a = 1.0, "keep_linear"_a = false)
+             "initial"_a, "timing_s2"_a = 0.0, "unresolved"_a = 0.0, "unresolved_current"_a = 0.0,
+             "step_s"_a = 1e-3, "window_s"_a = 1.0, "keep_linear"_a = false)
         .def("innovations", &Engine::innovations_of, "recordings"_a, "tracks"_a, "values"_a,
              "step_s"_a = 1e-3)
         .def("replays", &Engine::replays_of, "recordings"_a, "tracks"_a, "values"_a,

@@ -98,14 +98,19 @@ class RowUpdate {
     int states_, outputs_;
 };
 
+/* Change of a motor's command into row k. */
+double change_into(const Recording &recording, int motors, std::size_t k, int motor) {
+    const std::size_t place =
+        k * static_cast<std::size_t>(motors) + static_cast<std::size_t>(motor);
+    return k > 0 ? recording.command[place] -
+                       recording.command[place - static_cast<std::size_t>(motors)]
+                 : 0.0;
+}
+
 /* Mean square change of a motor's command into and out of row k. */
 double squared_change(const Recording &recording, int motors, std::size_t k, int motor) {
-    const auto command = [&](std::size_t row) {
-        return recording
-            .command[row * static_cast<std::size_t>(motors) + static_cast<std::size_t>(motor)];
-    };
-    const double into = k > 0 ? command(k) - command(k - 1) : 0.0;
-    const double out = command(k + 1) - command(k);
+    const double into = change_into(recording, motors, k, motor);
+    const double out = change_into(recording, motors, k + 1, motor);
     return 0.5 * (into * into + out * out);
 }
 
@@ -155,7 +160,8 @@ Track track(const Kernel &kernel, const Recording &recording, const double *valu
         result.slope.assign(rows * m * n, 0.0);
     }
     const Eigen::Map<const Vector> process(noise.process.data(), n);
-    const Eigen::Map<const Vector> variance(noise.output.data(), m);
+    const int motors = kernel.motors();
+    Vector variance = Eigen::Map<const Vector>(noise.output.data(), m);
     Vector x = Vector::Zero(kernel.states_and_memory());
     x.head(n) = Eigen::Map<const Vector>(recording.initial_state.data(), n);
     kernel.settle(loaded.get(), recording, x.data());
@@ -171,6 +177,11 @@ Track track(const Kernel &kernel, const Recording &recording, const double *valu
                                 predicted.data(), slope.data());
         if (keep_linear)
             std::copy(slope.data(), slope.data() + m * n, &result.slope[k * m * n]);
+        for (int i = m - kernel.current_outputs(), motor = 0; i < m; ++i, ++motor) {
+            const double change = change_into(recording, motors, k, motor);
+            variance[i] = noise.output[static_cast<std::size_t>(i)] +
+                          0.25 * noise.unresolved_current * change * change;
+        }
         for (int j = 0; j < m; ++j) {
             result.innovation[k * m + j] = measured[j] - predicted[j];
             result.replay_variance[k * m + j] =
@@ -195,7 +206,6 @@ Track track(const Kernel &kernel, const Recording &recording, const double *valu
         if (keep_linear)
             std::copy(transition.data(), transition.data() + n * n, &result.transition[k * n * n]);
         Vector grown = process * duration_s;
-        const int motors = kernel.motors();
         const double way = duration_s * duration_s / 12.0;
         for (int i = 0; i < motors; ++i) { /* the ways follow the speeds in the state */
             grown[motors + i] +=

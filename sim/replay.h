@@ -46,11 +46,13 @@ struct Recording {
  * c a row of length T, it leaves the speed at the end of the row where the mean takes it but the
  * way a c T^2 / 12 short, a the motor's acceleration per command: variance unresolved * c^2 T^4 /
  * 144 of each motor's way, unresolved = a^2 if the whole change happens so, 0 if the command is
- * held. */
+ * held. Likewise the current at the row's begin is b c / 2 off, b the current per command at rest:
+ * variance unresolved_current c^2 / 4 of a logged current. */
 struct Noise {
     std::vector<double> process, output, initial;
     double timing_s2 = 0.0;
     double unresolved = 0.0;
+    double unresolved_current = 0.0;
 };
 
 struct Track {
@@ -79,6 +81,8 @@ class Kernel {
     virtual int states_and_memory() const = 0;
     virtual int outputs() const = 0;
     virtual int motors() const = 0;
+    /* How many of the outputs are motor currents; they come last. */
+    virtual int current_outputs() const = 0;
     virtual int parameters() const = 0;
     virtual const char *instruction_set() const = 0;
     /* Fastest rate [1/s] of the first `count` <= lanes() sets; the steps are chosen from it. */

@@ -154,6 +154,9 @@ class KernelOf final : public Kernel {
     int outputs() const override {
         return kOutputs;
     }
+    int current_outputs() const override {
+        return kElectric > 0 ? kMotors : 0;
+    }
     int motors() const override {
         return kMotors;
     }

@@ -165,7 +165,14 @@ class _After:
     def _track(self, recording: _core.Recording) -> _core.Track:
         n = self._noise
         return self._machine.engine.track(
-            [recording], self._values, n.process, n.output, n.initial, n.timing_s2, n.unresolved
+            [recording],
+            self._values,
+            n.process,
+            n.output,
+            n.initial,
+            n.timing_s2,
+            n.unresolved,
+            n.unresolved_current,
         )[0]
 
     def _weights(self) -> Array:

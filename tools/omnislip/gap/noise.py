@@ -29,7 +29,8 @@ class Noise:
     """Variances: `process` (states,) per second, `output` (outputs,), `initial` (states,).
 
     `timing_s2` is the variance of the rows' times, `unresolved` that of a shaft's acceleration by
-    commands that move within a row ((rad/s2)^2 per squared duty).
+    commands that move within a row ((rad/s2)^2 per squared duty), `unresolved_current` that of a
+    current for the same reason (A^2 per squared duty).
     """
 
     process: Array
@@ -39,6 +40,7 @@ class Noise:
     unresolved: float
     logs: Array
     """Logarithms of the fitted variances."""
+    unresolved_current: float = 0.0
 
 
 def track_all(
@@ -57,6 +59,7 @@ def track_all(
         noise.initial,
         noise.timing_s2,
         noise.unresolved,
+        noise.unresolved_current,
         keep_linear=keep_linear,
     )
 
@@ -140,14 +143,23 @@ def _robot_noise(machine: Machine, logs: Array) -> Noise:
         output[SUPPLY], output[CURRENT] = electric
     initial = np.array([25.0] * 4 + [count_rad**2] * 4 + [0.02, 0.02, 0.05, 1e-4, 1e-4, 1e-4])
     unresolved = float(share) * _stall_acceleration_rad_s2(machine) ** 2
-    return Noise(process, output, initial, float(timing), unresolved, logs)
+    unresolved_current = float(share) * _stall_current_a(machine) ** 2
+    return Noise(process, output, initial, float(timing), unresolved, logs, unresolved_current)
+
+
+def _stall_current_a(machine: Machine) -> float:
+    """Return the current of a motor at rest at full duty."""
+    return machine.model.values["motor.supply_v"] / machine.model.values["motor.resistance_ohm"]
 
 
 def _stall_acceleration_rad_s2(machine: Machine) -> float:
     """Return how fast a motor at rest that drives nothing starts at full duty."""
     values = machine.model.values
-    current_a = values["motor.supply_v"] / values["motor.resistance_ohm"]
-    return current_a * values["motor.torque_constant_nm_a"] / values["motor.inertia_kg_m2"]
+    return (
+        _stall_current_a(machine)
+        * values["motor.torque_constant_nm_a"]
+        / values["motor.inertia_kg_m2"]
+    )
 
 
 def _axis_start(runs: Sequence[Run]) -> Array:
