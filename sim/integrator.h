@@ -39,13 +39,14 @@ inline int step_count(double duration_s, double step_s, double fastest_rate_1_s)
     return std::max(1, static_cast<int>(std::ceil(steps - 1e-9)));
 }
 
-/* The rest of a step of the first n states whose first derivative k is known; k is used up. */
-template <int n, class Plant, class S, class Step, class Internals>
+/* The rest of a step of the first n states whose first derivative k is known; k is used up. `room`:
+ * states that the plant could touch if it had a memory in use, for compilers that check bounds. */
+template <int n, int room = n, class Plant, class S, class Step, class Internals>
 inline void rk4_step_from(S *k, const Plant &plant, S *x, const Step &step, double time_s, double h,
                           Internals &in) {
     const S half(0.5 * h), full(h), sixth(h / 6.0), third(h / 3.0);
     const S middle(time_s + 0.5 * h), end(time_s + h);
-    S sum[n], probe[n];
+    S sum[n], probe[room] = {};
     for (int i = 0; i < n; ++i) {
         sum[i] = x[i] + sixth * k[i];
         probe[i] = x[i] + half * k[i];
@@ -66,12 +67,12 @@ inline void rk4_step_from(S *k, const Plant &plant, S *x, const Step &step, doub
 }
 
 /* One step of the first n states. */
-template <int n, class Plant, class S, class Step, class Internals>
+template <int n, int room = n, class Plant, class S, class Step, class Internals>
 inline void rk4_step(const Plant &plant, S *x, const Step &step, double time_s, double h,
                      Internals &in) {
-    S k[n];
+    S k[room];
     plant.derivative(x, step, S(time_s), k, in);
-    rk4_step_from<n>(k, plant, x, step, time_s, h, in);
+    rk4_step_from<n, room>(k, plant, x, step, time_s, h, in);
 }
 
 /* Advances x [Plant::kAll] from time_s by duration_s; `commands(begin_s, end_s, command)` gives
@@ -92,9 +93,9 @@ inline void advance(const Plant &plant, S *x, const Commands &commands, double t
         if (plant.remembers()) {
             rk4_step<Plant::kAll>(plant, x, step, begin_s, h, in);
         } else if (i == 0 && first != nullptr) {
-            rk4_step_from<Plant::kStates>(first, plant, x, step, begin_s, h, in);
+            rk4_step_from<Plant::kStates, Plant::kAll>(first, plant, x, step, begin_s, h, in);
         } else {
-            rk4_step<Plant::kStates>(plant, x, step, begin_s, h, in);
+            rk4_step<Plant::kStates, Plant::kAll>(plant, x, step, begin_s, h, in);
         }
     }
 }

@@ -151,7 +151,7 @@ static void linearised_row_is_the_slope_of_the_plant(void) {
         Robot robot(model);
         robot.x = start;
         robot.x[j] += offset;
-        robot.drive(duty, 0.005);
+        robot.drive(duty, 0.005, kStep_s);
         return robot.x;
     };
     Recording row;
@@ -159,7 +159,8 @@ static void linearised_row_is_the_slope_of_the_plant(void) {
     row.command.assign(duty.begin(), duty.end());
     double state[RobotLayout::kAll] = {}, next[RobotLayout::kAll], transition[14 * 14];
     std::copy(start.begin(), start.end(), state);
-    kernel->linearise(kernel->load(model.flat.data()).get(), row, 0, 1e-3, state, next, transition);
+    kernel->linearise(kernel->load(model.flat.data()).get(), row, 0, kStep_s, state, next,
+                      transition);
     for (std::size_t j = 0; j < 14; ++j) {
         const Robot::State up = reached(j, 1e-4), down = reached(j, -1e-4);
         for (std::size_t i = 0; i < 14; ++i) {
