@@ -1,14 +1,17 @@
 /* axis_plant.h - one driven axis: a motor with a load, linear (m, N) or rotary (rad, N m).
  *
- * State x (2): speed v, position q. Command u in volt, ampere or duty.
+ * State x (2): speed v, position q. Command u in volt, ampere or duty; NaN while the drive is off.
  *
- *   M dv/dt = g u - e v - b v + effects - m_p g0 l sin(q)          dq/dt = v
+ *   M dv/dt = tau - b v + effects - m_p g0 l sin(q - q0)           dq/dt = v
+ *   tau = g u - e v, and 0 while the drive is off: no current flows, so nothing brakes
  *
  * M inertia or mass, g input gain, e back-EMF as viscous equivalent, b viscous friction,
- * m_p and l pendulum mass and length (0: none). The same friction effects act as on the robot's
- * shafts; "torque" is force on a linear axis. Behind the state the memory (3) of memory.h: command
- * that has left the driver, slack and twist of a soft gear; friction is then on the motor's side,
- * the pendulum behind the gear, and the position is that of the motor.
+ * m_p and l pendulum mass and length (0: none), q0 where it hangs. The same friction effects act as
+ * on the robot's shafts; "torque" is force on a linear axis. A pendulum loads the gear also while
+ * the motor gives nothing: load dependent friction takes the larger of tau and its torque. Behind
+ * the state the memory (3) of memory.h: command that has left the driver, slack and twist of a soft
+ * gear; friction is then on the motor's side, the pendulum behind the gear, and the position is
+ * that of the motor.
  */
 #ifndef OMNISLIP_SIM_AXIS_PLANT_H
 #define OMNISLIP_SIM_AXIS_PLANT_H
@@ -36,7 +39,7 @@ struct AxisInternals {
 template <class S>
 struct AxisStep {
     double length_s, inverse_s;
-    S command, command_rate_1_s;
+    S command, command_rate_1_s, powered;
 };
 
 template <class S>
@@ -57,9 +60,11 @@ class AxisPlant {
         hooks_ = 0;
         c_.mass_kg = flat[0];
         c_.inertia_kg_m2 = S(0.0);
-        c_.viscous_friction_nm_s[0] = flat[2] + flat[3];
+        c_.viscous_friction_nm_s[0] = flat[3];
+        c_.zero_angle_rad = S(0.0);
         c_.friction_speed = flat[7];
         input_gain_ = flat[1];
+        back_emf_ = flat[2];
         forget(c_);
         for (int i = 0; i < kEffectCount; ++i)
             active_[i] = active[i];
@@ -84,7 +89,8 @@ class AxisPlant {
     /* The driver over a step from x [kAll] under a constant command. */
     void begin_step(const S *x, const S *u, double length_s, Step &step) const {
         CommandTerm<S, 1> term;
-        term.duty[0] = u[0];
+        step.powered = select(u[0] == u[0], S(1.0), S(0.0));
+        term.duty[0] = select(u[0] == u[0], u[0], S(0.0));
         apply(kCommand, [&](auto effect, int slot) {
             using E = decltype(effect);
             E::command(term, values<E>(slot));
@@ -108,10 +114,13 @@ class AxisPlant {
     /* dx [kStates], with memory [kAll]. */
     void derivative(const S *x, const Step &step, const S &time_s, S *dx,
                     AxisInternals<S> &in) const {
+        using std::abs;
+        using std::max;
         using std::sin;
-        in.force = input_gain_ * step.command;
-        in.friction = friction(x, in.force, time_s);
-        dx[0] = (in.force + in.friction - gravity_torque_ * sin(x[1])) / inertia_;
+        in.force = step.powered * drive(step.command, x);
+        const S gravity = gravity_torque_ * sin(x[1] - c_.zero_angle_rad);
+        in.friction = friction(x, in.force, max(abs(in.force), abs(gravity)), time_s);
+        dx[0] = (in.force + in.friction - gravity) / inertia_;
         dx[1] = x[0];
         if (!remembers_)
             return;
@@ -129,8 +138,9 @@ class AxisPlant {
         S moving[2] = {S(1e-3) * c_.friction_speed, S(0.0)};
         S still[2] = {S(0.0), S(0.0)};
         const S none = S(0.0);
-        const S slope = (friction(still, none, none) - friction(moving, none, none)) / moving[0];
-        const S rate = slope / inertia_ + gear_.rate_1_s();
+        const S slope =
+            (friction(still, none, none, none) - friction(moving, none, none, none)) / moving[0];
+        const S rate = (slope + back_emf_) / inertia_ + gear_.rate_1_s();
         double worst = 0.0;
         for (int i = 0; i < LaneCount<S>::value; ++i)
             worst = std::max(worst, lane(rate, i));
@@ -151,7 +161,7 @@ class AxisPlant {
     void twist_gear(const S *x, const Step &step, const AxisInternals<S> &in, S *dx) const {
         using std::sin;
         const S motor = in.force + in.friction;
-        const S road = gravity_torque_ * sin(x[1] - x[kTwist]);
+        const S road = gravity_torque_ * sin(x[1] - c_.zero_angle_rad - x[kTwist]);
         if (step.length_s == kForever_s) {
             dx[kTwist] = gear_.settled_twist(motor, road, dx[0]) * S(step.inverse_s);
         } else {
@@ -178,7 +188,21 @@ class AxisPlant {
         });
     }
 
-    S friction(const S *x, const S &motor_force, const S &time_s) const {
+    /* tau; the effects see it as the current of a motor of unit torque constant. */
+    S drive(const S &command, const S *x) const {
+        CurrentTerm<S, 1> term;
+        term.current_a[0] = input_gain_ * command - back_emf_ * x[0];
+        term.duty = &command;
+        term.speed_rad_s = x;
+        apply(kCurrent, [&](auto effect, int slot) {
+            using E = decltype(effect);
+            E::current(term, values<E>(slot));
+        });
+        return term.current_a[0];
+    }
+
+    /* `carried`: torque that the gear transmits, from the motor or from the load. */
+    S friction(const S *x, const S &motor_force, const S &carried, const S &time_s) const {
         using std::tanh;
         S total = -c_.viscous_friction_nm_s[0] * x[0];
         if (!(hooks_ & kShaft))
@@ -186,7 +210,7 @@ class AxisPlant {
         ShaftTerm<S, 1> term;
         term.speed_rad_s = x;
         term.angle_rad = x + 1;
-        term.motor_torque_nm = &motor_force;
+        term.motor_torque_nm = &carried;
         term.torque_nm[0] = S(0.0);
         term.sign[0] = tanh(x[0] / c_.friction_speed);
         apply(kShaft, [&](auto effect, int slot) {
@@ -203,7 +227,7 @@ class AxisPlant {
     }
 
     Constants<S, 1> c_;
-    S inertia_, input_gain_, gravity_torque_;
+    S inertia_, input_gain_, back_emf_, gravity_torque_;
     SoftGear<S> gear_;
     bool delays_ = false, remembers_ = false, soft_ = false;
     const S *effects_ = nullptr;

@@ -16,6 +16,7 @@
 #include "axis_plant.h"
 #include "closed_loop.h"
 #include "integrator.h"
+#include "odometry_plant.h"
 #include "replay.h"
 #include "robot_plant.h"
 #include "speed.h"
@@ -96,6 +97,8 @@ nb::list effects() {
             kinds.append("robot");
         if (info.kinds & kAxis)
             kinds.append("axis");
+        if (info.kinds & kOdometry)
+            kinds.append("odometry");
         entry["kinds"] = kinds;
         entry["parameters"] = parameter_list(info);
         catalogue.append(entry);
@@ -116,11 +119,19 @@ nb::list base_list(const BaseParameter (&base)[Count]) {
     return parameters;
 }
 
+EngineKind engine_kind(const std::string &kind) {
+    const std::map<std::string, EngineKind> kinds = {
+        {"robot", kRobotEngine}, {"axis", kAxisEngine}, {"odometry", kOdometryEngine}};
+    const auto found = kinds.find(kind);
+    require(found != kinds.end(), "kind must be 'robot', 'axis' or 'odometry'");
+    return found->second;
+}
+
 nb::list base_parameters(const std::string &kind) {
-    if (kind == "robot")
-        return base_list(kRobotBase);
-    require(kind == "axis", "kind must be 'robot' or 'axis'");
-    return base_list(kAxisBase);
+    const EngineKind number = engine_kind(kind);
+    return number == kRobotEngine  ? base_list(kRobotBase)
+           : number == kAxisEngine ? base_list(kAxisBase)
+                                   : base_list(kOdometryBase);
 }
 
 /* ------------------------------------------------------------------ effects of the user */
@@ -191,13 +202,11 @@ UserTermList list_of(const std::vector<UserTerm> &terms) {
 class Engine {
   public:
     Engine(const std::string &kind, int widest_lanes, const nb::list &user_effects, bool electric) {
-        require(kind == "robot" || kind == "axis", "kind must be 'robot' or 'axis'");
-        require(kind == "robot" || !electric, "only a robot has electric outputs");
-        terms_ = to_user_terms(user_effects, kind == "robot" ? RobotLayout::kMotors : 1);
-        kernel_ = make_kernel(kind == "axis" ? kAxisEngine
-                              : electric     ? kElectricRobotEngine
-                                             : kRobotEngine,
-                              widest_lanes, list_of(terms_));
+        const EngineKind number = engine_kind(kind);
+        require(number == kRobotEngine || !electric, "only a robot has electric outputs");
+        terms_ = to_user_terms(user_effects, number == kRobotEngine ? RobotLayout::kMotors : 1);
+        kernel_ =
+            make_kernel(electric ? kElectricRobotEngine : number, widest_lanes, list_of(terms_));
         require(kernel_->parameters() <= kMaxParameters, "too many parameters of user effects");
     }
 

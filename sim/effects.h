@@ -15,6 +15,7 @@
  *   contact   grip, wheel radius and shape of the friction law          ContactTerm
  *   body      forces on the body                                        BodyTerm
  *   sensor    what the sensors show                                     SensorTerm
+ *   motion    motion of the body against what its encoders claim        MotionTerm (odometry)
  *
  * Units are SI; speeds, angles and torques of a motor are at the motor shaft. A linear axis reads
  * "torque" as force, "speed in rad/s" as m/s and "angle" as position.
@@ -45,7 +46,7 @@ struct ParameterInfo {
 /* On which wheels the search tries an effect. A file may name a wheel for any but `kWhole`. */
 enum class Scope { kWhole, kCommon, kSingle, kCommonOrSingle };
 
-enum Kind : unsigned { kRobot = 1u, kAxis = 2u };
+enum Kind : unsigned { kRobot = 1u, kAxis = 2u, kOdometry = 4u };
 
 enum Hook : unsigned {
     kPrepare = 1u << 0,
@@ -56,6 +57,7 @@ enum Hook : unsigned {
     kContact = 1u << 5,
     kBody = 1u << 6,
     kSensor = 1u << 7,
+    kMotion = 1u << 8,
 };
 
 struct EffectInfo {
@@ -92,7 +94,9 @@ struct Constants {
     S load_bias_n[N];
     S cog_x_m, cog_y_m, cog_height_m;
     S source_resistance_ohm;
-    S friction_speed; /* rad/s at the shaft; a Coulomb torque is smoothed over it */
+    S pose_delay_s, clock_fraction; /* of the camera, where the plant follows the log's clock */
+    S zero_angle_rad;               /* reading at which a pendulum hangs straight down */
+    S friction_speed;               /* rad/s at the shaft; a Coulomb torque is smoothed over it */
     /* memory: see memory.h */
     S delay_s[N], driver_lag_s[N], inductance_h[N], heating_1_a2_s[N], bristle_length_m[N];
     S play_rad[N], stiffness_nm_rad[N], damping_nm_s_rad[N];
@@ -157,6 +161,11 @@ struct SensorTerm {
     S world_vx_m_s, world_vy_m_s, omega_rad_s, time_s;
 };
 
+template <class S>
+struct MotionTerm {
+    S vx_m_s, vy_m_s, omega_rad_s; /* in: as the encoders claim; out: of the body */
+};
+
 /* Every effect derives from this: hooks it does not define do nothing. */
 struct Effect {
     template <class S, int N>
@@ -175,6 +184,8 @@ struct Effect {
     static void body(BodyTerm<S, N> &, const Values<S> &) {}
     template <class S, int N>
     static void sensor(SensorTerm<S, N> &, const Values<S> &) {}
+    template <class S>
+    static void motion(MotionTerm<S> &, const Values<S> &) {}
 };
 
 /* ------------------------------------------------------------------ supply, driver and motor */
@@ -334,7 +345,7 @@ struct CurrentLimit : Effect {
                                         "driver",
                                         "current fold-back",
                                         Scope::kCommon,
-                                        kRobot,
+                                        kRobot | kAxis,
                                         kCurrent,
                                         1,
                                         {{"limit_a", "A", kUnbounded, 0.5, kUnbounded, 12.0}}};
@@ -355,7 +366,7 @@ struct DriverFreewheel : Effect {
                                         "driver",
                                         "slow against fast decay of the bridge",
                                         Scope::kCommon,
-                                        kRobot,
+                                        kRobot | kAxis,
                                         kCurrent,
                                         1,
                                         {{"braking_fraction", "1", 1.0, 0.0, 1.5, -0.4}}};
@@ -653,6 +664,24 @@ struct ForceOffset : Effect {
     }
 };
 
+struct PendulumZeroError : Effect {
+    static constexpr EffectInfo info = {
+        "pendulum_zero_error",
+        "The pendulum hangs straight down at another reading than zero.",
+        "gravity torque m l g sin(q - angle)",
+        "sensor",
+        "encoder zero; Rhoban BAM q_offset",
+        Scope::kCommon,
+        kAxis,
+        kPrepare,
+        1,
+        {{"angle_rad", "rad", 0.0, -0.5, 0.5, 0.02}}};
+    template <class S, int N>
+    static void prepare(Constants<S, N> &c, const Values<S> &p) {
+        c.zero_angle_rad = p(0);
+    }
+};
+
 /* ---------------------------------------------------------------------- wheels and geometry */
 
 struct WheelRadiusError : Effect {
@@ -662,7 +691,7 @@ struct WheelRadiusError : Effect {
                                         "wheel",
                                         "wear, tolerance",
                                         Scope::kCommonOrSingle,
-                                        kRobot,
+                                        kRobot | kOdometry,
                                         kPrepare,
                                         1,
                                         {{"scale", "1", 1.0, 0.7, 1.3, 0.02}}};
@@ -702,7 +731,7 @@ struct WheelAngleError : Effect {
                                         "wheel",
                                         "bent bracket",
                                         Scope::kSingle,
-                                        kRobot,
+                                        kRobot | kOdometry,
                                         kPrepare,
                                         1,
                                         {{"angle_rad", "rad", 0.0, -0.5, 0.5, 0.03}}};
@@ -721,7 +750,7 @@ struct WheelDistanceError : Effect {
                                         "wheel",
                                         "contact point of the rollers",
                                         Scope::kWhole,
-                                        kRobot,
+                                        kRobot | kOdometry,
                                         kPrepare,
                                         1,
                                         {{"scale", "1", 1.0, 0.7, 1.3, 0.02}}};
@@ -1187,10 +1216,14 @@ struct PoseLatency : Effect {
                                         "sensor",
                                         "exposure and transport",
                                         Scope::kWhole,
-                                        kRobot,
-                                        kSensor,
+                                        kRobot | kOdometry,
+                                        kPrepare | kSensor,
                                         1,
                                         {{"delay_s", "s", 0.0, -0.05, 0.5, 0.01}}};
+    template <class S, int N>
+    static void prepare(Constants<S, N> &c, const Values<S> &p) {
+        c.pose_delay_s = p(0);
+    }
     template <class S, int N>
     static void sensor(SensorTerm<S, N> &c, const Values<S> &p) {
         c.x_m = c.x_m - p(0) * c.world_vx_m_s;
@@ -1206,7 +1239,7 @@ struct PoseRotation : Effect {
                                         "sensor",
                                         "camera mounting",
                                         Scope::kWhole,
-                                        kRobot,
+                                        kRobot | kOdometry,
                                         kSensor,
                                         1,
                                         {{"angle_rad", "rad", 0.0, -kPi, kPi, 0.02}}};
@@ -1220,6 +1253,45 @@ struct PoseRotation : Effect {
     }
 };
 
+struct MarkerOffset : Effect {
+    static constexpr EffectInfo info = {
+        "marker_offset",
+        "What the camera follows sits off the robot's centre.",
+        "measured (x, y) = true (x, y) + Rot(theta) (x_m, y_m)",
+        "sensor",
+        "mounting of the markers",
+        Scope::kWhole,
+        kOdometry,
+        kSensor,
+        2,
+        {{"x_m", "m", 0.0, -0.5, 0.5, 0.01}, {"y_m", "m", 0.0, -0.5, 0.5, 0.01}}};
+    template <class S, int N>
+    static void sensor(SensorTerm<S, N> &c, const Values<S> &p) {
+        using std::cos;
+        using std::sin;
+        const S cosine = cos(c.theta_rad), sine = sin(c.theta_rad);
+        c.x_m = c.x_m + cosine * p(0) - sine * p(1);
+        c.y_m = c.y_m + sine * p(0) + cosine * p(1);
+    }
+};
+
+struct HeadingOffset : Effect {
+    static constexpr EffectInfo info = {"heading_offset",
+                                        "The camera's forward is not the robot's forward.",
+                                        "measured theta = true theta + angle",
+                                        "sensor",
+                                        "mounting of the markers",
+                                        Scope::kWhole,
+                                        kOdometry,
+                                        kSensor,
+                                        1,
+                                        {{"angle_rad", "rad", 0.0, -0.5, 0.5, 0.01}}};
+    template <class S, int N>
+    static void sensor(SensorTerm<S, N> &c, const Values<S> &p) {
+        c.theta_rad = c.theta_rad + p(0);
+    }
+};
+
 struct ClockSkew : Effect {
     static constexpr EffectInfo info = {"clock_skew",
                                         "The camera's clock runs fast against the log's.",
@@ -1227,10 +1299,14 @@ struct ClockSkew : Effect {
                                         "sensor",
                                         "unsynchronised clocks",
                                         Scope::kWhole,
-                                        kRobot,
-                                        kSensor,
+                                        kRobot | kOdometry,
+                                        kPrepare | kSensor,
                                         1,
                                         {{"fraction", "1", 0.0, -0.05, 0.05, 0.003}}};
+    template <class S, int N>
+    static void prepare(Constants<S, N> &c, const Values<S> &p) {
+        c.clock_fraction = p(0);
+    }
     template <class S, int N>
     static void sensor(SensorTerm<S, N> &c, const Values<S> &p) {
         const S late_s = p(0) * c.time_s;
@@ -1281,7 +1357,7 @@ struct EncoderScale : Effect {
                                         "sensor",
                                         "wrong disc or setting",
                                         Scope::kCommonOrSingle,
-                                        kRobot,
+                                        kRobot | kOdometry,
                                         kSensor,
                                         1,
                                         {{"scale", "1", 1.0, 0.3, 3.0, 0.02}}};
@@ -1314,6 +1390,43 @@ struct EncoderDropout : Effect {
     }
 };
 
+/* ------------------------------------------------------------------- motion against encoders */
+
+struct LateralSlip : Effect {
+    static constexpr EffectInfo info = {
+        "lateral_slip",
+        "Moving sideways the body falls short of what the encoders claim.",
+        "body vy times (1 - fraction)",
+        "contact",
+        "rollers that give way under side load",
+        Scope::kWhole,
+        kOdometry,
+        kMotion,
+        1,
+        {{"fraction", "1", 0.0, -0.3, 0.5, 0.02}}};
+    template <class S>
+    static void motion(MotionTerm<S> &c, const Values<S> &p) {
+        c.vy_m_s = c.vy_m_s * (S(1.0) - p(0));
+    }
+};
+
+struct TurningLoss : Effect {
+    static constexpr EffectInfo info = {"turning_loss",
+                                        "Turning, the body falls short of what the encoders claim.",
+                                        "body w times (1 - fraction)",
+                                        "contact",
+                                        "spin friction of the contact patches",
+                                        Scope::kWhole,
+                                        kOdometry,
+                                        kMotion,
+                                        1,
+                                        {{"fraction", "1", 0.0, -0.3, 0.5, 0.02}}};
+    template <class S>
+    static void motion(MotionTerm<S> &c, const Values<S> &p) {
+        c.omega_rad_s = c.omega_rad_s * (S(1.0) - p(0));
+    }
+};
+
 using Catalogue = std::tuple<
     SupplySag, StateOfChargeDrift, DeadZone, DriverNonlinearity, ActuationDelay, DriverLag,
     ArmatureInductance, WindingHeating, CurrentLimit, DriverFreewheel, WeakMotor,
@@ -1324,7 +1437,8 @@ using Catalogue = std::tuple<
     GripDrift, ContactShape, BristleRelaxation, CarpetAnisotropy, SlipperyPatch, RollerFriction,
     RollerRipple, RollingResistance, LoadTransfer, DiagonalLoadBias, Payload, InertiaError,
     CogOffset, FloorSlope, BodyDrag, QuadraticBodyDrag, TetherSpring, YawScrub, PoseLatency,
-    ClockSkew, PoseRotation, GyroBias, GyroScale, EncoderScale, EncoderDropout>;
+    ClockSkew, PoseRotation, GyroBias, GyroScale, EncoderScale, EncoderDropout, PendulumZeroError,
+    LateralSlip, TurningLoss, MarkerOffset, HeadingOffset>;
 
 constexpr int kEffectCount = static_cast<int>(std::tuple_size<Catalogue>::value);
 

@@ -207,7 +207,8 @@ Track track(const Kernel &kernel, const Recording &recording, const double *valu
             std::copy(transition.data(), transition.data() + n * n, &result.transition[k * n * n]);
         Vector grown = process * duration_s;
         const double way = duration_s * duration_s / 12.0;
-        for (int i = 0; i < motors; ++i) { /* the ways follow the speeds in the state */
+        /* The ways follow the speeds in the state of a machine that has them. */
+        for (int i = 0; noise.unresolved > 0.0 && i < motors; ++i) {
             grown[motors + i] +=
                 noise.unresolved * way * way * squared_change(recording, motors, k, i);
         }

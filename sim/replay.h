@@ -31,7 +31,7 @@ namespace omnislip {
 /* Replays start this long after the first row: until then the filter finds the initial state. */
 constexpr double kSettleTime_s = 0.25;
 /* Room for a parameter set, terms of the user included. */
-constexpr int kMaxParameters = 512;
+constexpr int kMaxParameters = 800;
 
 struct Recording {
     int rows = 0;
@@ -109,7 +109,7 @@ class Kernel {
 };
 
 /* The electric robot shows bus voltage and four motor currents after the outputs of the robot. */
-enum EngineKind { kRobotEngine, kAxisEngine, kElectricRobotEngine };
+enum EngineKind { kRobotEngine, kAxisEngine, kElectricRobotEngine, kOdometryEngine };
 
 /* Best kernel for this processor. `widest_lanes` bounds the width.
  * The terms must outlive the kernel. */

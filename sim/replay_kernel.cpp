@@ -9,16 +9,23 @@
 
 #include "axis_plant.h"
 #include "integrator.h"
+#include "odometry_plant.h"
 #include "replay.h"
 #include "robot_plant.h"
 
 namespace omnislip {
 namespace {
 
+/* Without forces there is nothing stiff: at 3 rad/s an arc of this length is followed to 1e-5 rad.
+ */
+constexpr double kArc_s = 0.1;
+
 template <class S>
 RobotInternals<S> internals_of(const RobotPlant<S> &);
 template <class S>
 AxisInternals<S> internals_of(const AxisPlant<S> &);
+template <class S>
+OdometryInternals internals_of(const OdometryPlant<S> &);
 
 /* `kElectric` outputs follow those of the plant: bus voltage and motor currents, where logged. */
 template <template <class> class PlantOf, class Arch, int kElectric>
@@ -129,9 +136,16 @@ class KernelOf final : public Kernel {
     static void advance_row(const Loaded &loaded, const Recording &recording, long k, double step_s,
                             S *x, Internals &in) {
         const double *time_s = recording.time_s.data();
-        const LoggedCommands<Plant> commands(loaded.plant, time_s, recording.command.data(), k);
-        advance(loaded.plant, x, commands, time_s[k], time_s[k + 1] - time_s[k],
-                commands.step_s(step_s), loaded.rate_1_s, in);
+        const double *command = recording.command.data();
+        const double duration_s = time_s[k + 1] - time_s[k];
+        if constexpr (Plant::kKind == kOdometry) {
+            const ShownCommands<S> commands(loaded.plant, time_s, command, k, recording.rows);
+            advance(loaded.plant, x, commands, time_s[k], duration_s, kArc_s, 0.0, in);
+        } else {
+            const LoggedCommands<Plant> commands(loaded.plant, time_s, command, k);
+            advance(loaded.plant, x, commands, time_s[k], duration_s, commands.step_s(step_s),
+                    loaded.rate_1_s, in);
+        }
     }
 
     int total_parameters() const {
@@ -317,6 +331,8 @@ Kernel *OMNISLIP_JOIN(make_kernel_, OMNISLIP_ARCH)(int kind, const UserTermList 
         return new KernelOf<RobotPlant, Arch, 0>(terms);
     if (kind == kElectricRobotEngine)
         return new KernelOf<RobotPlant, Arch, 1 + RobotLayout::kMotors>(terms);
+    if (kind == kOdometryEngine)
+        return new KernelOf<OdometryPlant, Arch, 0>(terms);
     return new KernelOf<AxisPlant, Arch, 0>(terms);
 }
 

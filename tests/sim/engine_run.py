@@ -7,7 +7,7 @@ ROBOT_OUTPUTS = 8  # four shaft angles [rad], turn rate [rad/s], x, y [m], headi
 
 
 def motors(kind: str) -> int:
-    return 4 if kind == "robot" else 1
+    return {"robot": 4, "axis": 1, "odometry": 8}[kind]
 
 
 def parameter_set(kind="robot", base=None, effects=()) -> np.ndarray:

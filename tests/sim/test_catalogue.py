@@ -30,7 +30,9 @@ BASE = {
         "axis.input_gain": 1.02,
         "axis.back_emf": 1.1e-3,
         "axis.friction_speed": 2.0,
+        "axis.pendulum_mass_kg": 1e-3,
     },
+    "odometry": {f"odometry.wheel_angles_deg[{i}]": 45.0 * i for i in range(8)},
 }
 
 
@@ -42,16 +44,18 @@ def run(kind, effects):
     rng = np.random.default_rng(11)
     command = np.repeat(rng.uniform(-0.8, 0.8, (30, motors(kind))), 10, axis=0)
     time = np.arange(len(command)) * 0.01
-    initial = np.zeros(14 if kind == "robot" else 2)
+    initial = np.zeros({"robot": 14, "axis": 2, "odometry": 3}[kind])
     sets = [parameter_set(kind, BASE[kind]), parameter_set(kind, BASE[kind], effects)]
     return simulate(sets, time, command, initial, kind)
 
 
-@pytest.mark.parametrize("kind", ["robot", "axis"])
+@pytest.mark.parametrize("kind", ["robot", "axis", "odometry"])
 def test_every_effect_of_typical_size_shows_in_the_outputs(kind):
     silent = []
     for name in cases(kind):
         effects = [(name, p["name"], size(p)) for p in CATALOGUE[name]["parameters"]]
+        if (kind, name) == ("axis", "current_limit"):
+            effects = [(name, "limit_a", 0.3)]  # a torque there, and the command asks for 0.8
         believed, with_effect = run(kind, effects)
         assert np.isfinite(with_effect).all(), name
         if np.abs(with_effect - believed).max() < 1e-4:
@@ -87,7 +91,7 @@ def test_description_is_complete_and_its_bounds_are_in_order(name):
 
 def test_names_are_unique():
     assert len(CATALOGUE) == len(_core.effects())
-    for kind in ("robot", "axis"):
+    for kind in ("robot", "axis", "odometry"):
         names = [p["name"] for p in _core.base_parameters(kind)]
         assert len(set(names)) == len(names)
 

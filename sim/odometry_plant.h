@@ -1,0 +1,264 @@
+/* odometry_plant.h - a robot followed by its wheel encoders alone: geometry, no forces, no motors.
+ *
+ * State x (3): pose (x, y, theta) in the world. Command u (8): rates of the encoder angles, rad/s
+ * at the wheel, counted so that a positive rate turns the robot counter-clockwise; wheels the robot
+ * does not have (angle NaN) are left out. Each wheel says how fast its hub moves along its drive
+ * direction, row i of J (paper eq. (3) for any number of wheels):
+ *
+ *   d_i . v + (p_i x d_i) w = R_i cos(a) u_i / e_i,   d_i = (-sin(g_i + t_i), cos(g_i + t_i))
+ *
+ * p_i = L (cos g_i, sin g_i), R_i radius, e_i encoder scale, t_i mounting error, a the angle of the
+ * rollers' axes off the wheel's rolling direction: 0 for an omni wheel; for a mecanum wheel 45
+ * degrees, g_i and L then being bearing and distance of the line in which it can push. The body
+ * moves as the least squares solution v = (J'J)^-1 J' (rim speeds) says, changed by the effects of
+ * the hook `motion`. A row of the log is followed along an arc.
+ *
+ * The camera's row at t shows the pose of t (1 - fraction) - delay (clock_skew, pose_latency): the
+ * pose here is the one the camera shows, driven by the encoders of that moment. That is exact also
+ * for delays over which the motion changes.
+ */
+#ifndef OMNISLIP_SIM_ODOMETRY_PLANT_H
+#define OMNISLIP_SIM_ODOMETRY_PLANT_H
+
+#include "memory.h"
+#include "robot_plant.h"
+
+namespace omnislip {
+
+constexpr int kMostWheels = 8;
+
+constexpr BaseParameter kOdometryBase[] = {
+    {"odometry.wheel_radius_m", "m", 0.05},       {"odometry.wheel_distance_m", "m", 0.2},
+    {"odometry.roller_angle_deg", "deg", 0.0},    {"odometry.wheel_angles_deg[0]", "deg", 0.0},
+    {"odometry.wheel_angles_deg[1]", "deg", 0.0}, {"odometry.wheel_angles_deg[2]", "deg", 0.0},
+    {"odometry.wheel_angles_deg[3]", "deg", 0.0}, {"odometry.wheel_angles_deg[4]", "deg", 0.0},
+    {"odometry.wheel_angles_deg[5]", "deg", 0.0}, {"odometry.wheel_angles_deg[6]", "deg", 0.0},
+    {"odometry.wheel_angles_deg[7]", "deg", 0.0},
+};
+
+struct OdometryInternals {};
+
+template <class S>
+class OdometryPlant {
+  public:
+    struct Step {
+        S vx_m_s, vy_m_s, omega_rad_s; /* body frame */
+    };
+    static constexpr int kMotors = kMostWheels;
+    static constexpr int kStates = 3;
+    static constexpr int kAll = kStates;
+    static constexpr int kOutputs = 3; /* x, y, theta as the camera shows them */
+    static constexpr int kBase = static_cast<int>(sizeof(kOdometryBase) / sizeof(kOdometryBase[0]));
+    static constexpr Kind kKind = kOdometry;
+    static constexpr double kCommandJump = kUnbounded; /* no contact that slips */
+
+    /* No effect of the user's acts on an odometry: there are no terms. */
+    void prepare(const S *flat, const bool *active, const UserTermList & = {}) {
+        using std::cos;
+        const S degree(kPi / 180.0);
+        effects_ = flat + kBase;
+        hooks_ = 0;
+        c_.wheel_distance_m = flat[1];
+        c_.pose_delay_s = c_.clock_fraction = S(0.0);
+        const S rolling = flat[0] * cos(flat[2] * degree);
+        for (int i = 0; i < kMostWheels; ++i) {
+            c_.wheel_radius_m[i] = rolling;
+            c_.wheel_angle_rad[i] = flat[3 + i] * degree;
+            c_.roller_angle_offset_rad[i] = S(0.0);
+            sensor_.encoder_rate[i] = S(1.0);
+        }
+        for (int i = 0; i < kEffectCount; ++i)
+            active_[i] = active[i];
+        for_each_effect(kMotors, [&](auto effect, int index, int slot) {
+            using E = decltype(effect);
+            if constexpr ((E::info.kinds & kOdometry) != 0) {
+                if (!active_[index])
+                    return;
+                hooks_ |= E::info.hooks;
+                E::prepare(c_, values<E>(slot));
+            }
+        });
+        read_encoder_rates();
+        solve_geometry();
+    }
+
+    /* Velocity of the body over a step under the mean encoder rates u [kMotors]. */
+    void begin_step(const S *, const S *u, double, Step &step) const {
+        MotionTerm<S> term{S(0.0), S(0.0), S(0.0)};
+        for (int i = 0; i < kMostWheels; ++i) {
+            term.vx_m_s = term.vx_m_s + inverse_[0][i] * u[i];
+            term.vy_m_s = term.vy_m_s + inverse_[1][i] * u[i];
+            term.omega_rad_s = term.omega_rad_s + inverse_[2][i] * u[i];
+        }
+        apply(kMotion, [&](auto effect, int slot) {
+            using E = decltype(effect);
+            E::motion(term, values<E>(slot));
+        });
+        const S pace = S(1.0) - c_.clock_fraction;
+        step = {pace * term.vx_m_s, pace * term.vy_m_s, pace * term.omega_rad_s};
+    }
+
+    void derivative(const S *x, const Step &step, const S &, S *dx, OdometryInternals &) const {
+        using std::cos;
+        using std::sin;
+        const S c = cos(x[2]), s = sin(x[2]);
+        dx[0] = c * step.vx_m_s - s * step.vy_m_s;
+        dx[1] = s * step.vx_m_s + c * step.vy_m_s;
+        dx[2] = step.omega_rad_s;
+    }
+
+    void output(const S *x, const S &, S *y) const {
+        SensorTerm<S, kMotors> term;
+        term.x_m = x[0];
+        term.y_m = x[1];
+        /* Delays act on the commands; here the sensor terms see a robot at rest. */
+        term.world_vx_m_s = term.world_vy_m_s = term.omega_rad_s = term.time_s = S(0.0);
+        term.theta_rad = x[2];
+        term.gyro_rad_s = S(0.0);
+        for (int i = 0; i < kMostWheels; ++i)
+            term.encoder_rate[i] = S(1.0);
+        apply(kSensor, [&](auto effect, int slot) {
+            using E = decltype(effect);
+            E::sensor(term, values<E>(slot));
+        });
+        y[0] = term.x_m;
+        y[1] = term.y_m;
+        y[2] = term.theta_rad;
+    }
+
+    double fastest_rate_1_s() const {
+        return 0.0;
+    }
+    const Constants<S, kMotors> &constants() const {
+        return c_;
+    }
+    bool remembers() const {
+        return false;
+    }
+    bool shifts_time() const {
+        return any_lane_differs(c_.pose_delay_s, 0.0) || any_lane_differs(c_.clock_fraction, 0.0);
+    }
+
+  private:
+    template <class E>
+    Values<S> values(int slot) const {
+        return {effects_ + slot, effect_stride(E::info, kMotors)};
+    }
+
+    template <class Action>
+    void apply(unsigned hook, Action &&action) const {
+        if (!(hooks_ & hook))
+            return;
+        for_each_effect(kMotors, [&](auto effect, int index, int slot) {
+            using E = decltype(effect);
+            if constexpr ((E::info.kinds & kOdometry) != 0) {
+                if ((E::info.hooks & hook) && active_[index])
+                    action(effect, slot);
+            }
+        });
+    }
+
+    void read_encoder_rates() {
+        sensor_.gyro_rad_s = sensor_.x_m = sensor_.y_m = sensor_.theta_rad = S(0.0);
+        sensor_.world_vx_m_s = sensor_.world_vy_m_s = sensor_.omega_rad_s = S(0.0);
+        sensor_.time_s = S(0.0);
+        apply(kSensor, [&](auto effect, int slot) {
+            using E = decltype(effect);
+            E::sensor(sensor_, values<E>(slot));
+        });
+    }
+
+    /* inverse_ = (J'J)^-1 J' diag(rim speed per encoder rate); J'J by its adjugate. */
+    void solve_geometry() {
+        using std::cos;
+        using std::sin;
+        S j[kMostWheels][3], m[3][3];
+        for (auto &row : m)
+            for (S &entry : row)
+                entry = S(0.0);
+        for (int i = 0; i < kMostWheels; ++i) {
+            const S &bearing = c_.wheel_angle_rad[i];
+            const auto there = bearing == bearing;
+            const S direction = bearing + c_.roller_angle_offset_rad[i];
+            j[i][0] = select(there, -sin(direction), S(0.0));
+            j[i][1] = select(there, cos(direction), S(0.0));
+            j[i][2] =
+                select(there, c_.wheel_distance_m * cos(c_.roller_angle_offset_rad[i]), S(0.0));
+            for (int a = 0; a < 3; ++a)
+                for (int b = 0; b < 3; ++b)
+                    m[a][b] = m[a][b] + j[i][a] * j[i][b];
+        }
+        S adjugate[3][3];
+        for (int a = 0; a < 3; ++a) {
+            for (int b = 0; b < 3; ++b) {
+                const int p = (b + 1) % 3, q = (b + 2) % 3, r = (a + 1) % 3, s = (a + 2) % 3;
+                adjugate[a][b] = m[p][r] * m[q][s] - m[p][s] * m[q][r];
+            }
+        }
+        const S determinant =
+            m[0][0] * adjugate[0][0] + m[0][1] * adjugate[1][0] + m[0][2] * adjugate[2][0];
+        for (int a = 0; a < 3; ++a) {
+            for (int i = 0; i < kMostWheels; ++i) {
+                const S row =
+                    adjugate[a][0] * j[i][0] + adjugate[a][1] * j[i][1] + adjugate[a][2] * j[i][2];
+                inverse_[a][i] = row / determinant * c_.wheel_radius_m[i] / sensor_.encoder_rate[i];
+            }
+        }
+    }
+
+    Constants<S, kMotors> c_;
+    SensorTerm<S, kMotors> sensor_;
+    S inverse_[3][kMostWheels];
+    const S *effects_ = nullptr;
+    bool active_[kEffectCount] = {};
+    unsigned hooks_ = 0;
+};
+
+/* Encoder rates of a log, each held from its row to the next (the first also before, the last also
+ * after), on average over the moments that the camera shows between begin and end. */
+template <class S>
+class ShownCommands {
+  public:
+    ShownCommands(const OdometryPlant<S> &plant, const double *time_s, const double *command,
+                  long row, long rows)
+        : plant_(plant), time_s_(time_s), command_(command), row_(row), rows_(rows) {}
+
+    void operator()(double begin_s, double end_s, S *command) const {
+        const auto &c = plant_.constants();
+        for (int i = 0; i < kMostWheels; ++i) {
+            command[i] = S(command_[row_ * kMostWheels + i]);
+            if (plant_.shifts_time()) {
+                command[i] = from_lanes<S>([&](int k) {
+                    const double delay_s = lane(c.pose_delay_s, k);
+                    const double pace = 1.0 - lane(c.clock_fraction, k);
+                    return mean(i, pace * begin_s - delay_s, pace * end_s - delay_s);
+                });
+            }
+        }
+    }
+
+  private:
+    double mean(int wheel, double begin_s, double end_s) const {
+        long row = row_;
+        while (row > 0 && time_s_[row] > begin_s)
+            --row;
+        while (row + 1 < rows_ && time_s_[row + 1] <= begin_s)
+            ++row;
+        double sum = 0.0;
+        for (double from_s = begin_s; from_s < end_s; ++row) {
+            const bool last = row + 1 >= rows_;
+            const double to_s = last ? end_s : std::min(end_s, time_s_[row + 1]);
+            sum += (to_s - from_s) * command_[row * kMostWheels + wheel];
+            from_s = to_s;
+        }
+        return sum / (end_s - begin_s);
+    }
+
+    const OdometryPlant<S> &plant_;
+    const double *time_s_, *command_;
+    long row_, rows_;
+};
+
+}  // namespace omnislip
+
+#endif
