@@ -9,16 +9,17 @@ from hypothesis import strategies as st
 from omnislip import _core
 from omnislip.errors import InputError
 from omnislip.model_file import (
+    ACUTE,
     ANGLES,
     COUNT,
     NOMINAL_ROBOT,
     ODOMETRY_KEYS,
     ROBOT_KEYS,
     TRANSLATING_AXIS_KEYS,
-    TRANSLATING_NAMES,
     TURNING_AXIS_KEYS,
     Effect,
     Model,
+    axis_names,
     read_model,
     write_model,
 )
@@ -165,6 +166,17 @@ def test_mistake_in_an_axis_file_is_named(case, write):
     assert [word for word in words if word not in message] == []
 
 
+@pytest.mark.parametrize("angle", ["90.0", "-1.0"])
+def test_roller_angle_is_acute(angle, write):
+    text = ODOMETRY.rstrip("\n") + f"\nroller_angle_deg = {angle}\n"
+    assert "0 or more and less than 90" in error_of(write("odometry.toml", text))
+
+
+def test_odometry_has_at_most_eight_wheels(write):
+    text = ODOMETRY.replace("[60.0, 180.0, 300.0]", str([40.0 * i for i in range(9)]))
+    assert "list of 8" in error_of(write("odometry.toml", text))
+
+
 def test_odometry_needs_three_wheels(write):
     text = ODOMETRY.replace("[60.0, 180.0, 300.0]", "[0.0, 180.0]")
     assert "list of 3" in error_of(write("odometry.toml", text))
@@ -183,7 +195,11 @@ POSITIVE_NUMBERS = st.floats(min_value=1e-300, max_value=1e300)
 def values_of(keys: dict[str, str], wheel_counts: tuple[int, int]) -> st.SearchStrategy:
     low, high = wheel_counts
     angles = st.lists(st.floats(-1e6, 1e6), min_size=low, max_size=high)
-    by_rule = {ANGLES: angles, COUNT: st.integers(1, 10**9).map(float)}
+    by_rule = {
+        ANGLES: angles,
+        COUNT: st.integers(1, 10**9).map(float),
+        ACUTE: st.floats(0.0, 89.9),
+    }
     return st.fixed_dictionaries(
         {key: by_rule.get(rule, POSITIVE_NUMBERS) for key, rule in keys.items()}
     )
@@ -196,11 +212,9 @@ def axis_values(keys: dict[str, str]) -> st.SearchStrategy:
     return st.tuples(values_of(others, (0, 0)), one_gain).map(lambda parts: parts[0] | parts[1])
 
 
-def effects_of(kind: str, translating: bool) -> st.SearchStrategy:
+def effects_of(kind: str, own_names: dict[str, str]) -> st.SearchStrategy:
     def one(entry: dict) -> st.SearchStrategy:
-        names = [parameter["name"] for parameter in entry["parameters"]]
-        if translating:
-            names = [TRANSLATING_NAMES.get(name, name) for name in names]
+        names = [own_names.get(p["name"], p["name"]) for p in entry["parameters"]]
         wheels = {"single": st.integers(1, 3), "common or single": st.none() | st.integers(1, 3)}
         return st.builds(
             Effect,
@@ -230,7 +244,7 @@ def models(kind: str, values: st.SearchStrategy) -> st.SearchStrategy:
             st.dictionaries(st.sampled_from(sorted(drawn)), st.floats(0, 1)).map(
                 lambda tolerance: {"default": 0.02} | tolerance
             ),
-            effects_of(kind, "axis.mass_kg" in drawn),
+            effects_of(kind, axis_names(drawn)),
             st.text(),
         )
     )

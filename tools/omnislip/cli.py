@@ -207,19 +207,50 @@ def figures(
     print(f"in {out}: figures.json")
 
 
+Data = Annotated[
+    Path | None,
+    typer.Option(help="Folder of data sets; default $OMNISLIP_DATA, else ../shared/data."),
+]
+
+
 @import_app.command(epilog="Example: omnislip import emps --out build/emps")
 def emps(
     out: Annotated[Path, typer.Option(help="Folder for train.csv, test.csv and emps.toml.")],
-    data: Annotated[
-        Path | None,
-        typer.Option(help="Folder of data sets; default $OMNISLIP_DATA, else ../shared/data."),
-    ] = None,
+    data: Data = None,
     as_json: Json = False,
 ) -> None:
     """EMPS: an electro-mechanical positioning axis (Janot, Gautier, Brunot 2019)."""
     from omnislip.importers.emps import import_emps
 
-    written = [str(path) for path in import_emps(data or data_folder(), out)]
+    _print_files(import_emps(data or data_folder(), out), as_json)
+
+
+@import_app.command(epilog="Example: omnislip import bam --out build/bam")
+def bam(
+    out: Annotated[Path, typer.Option(help="Folder for 16 logs and bam_xl330.toml.")],
+    data: Data = None,
+    as_json: Json = False,
+) -> None:
+    """BAM: a Dynamixel XL330 servo that swings a pendulum (Rhoban, 2025)."""
+    from omnislip.importers.bam import import_bam
+
+    _print_files(import_bam(data or data_folder(), out), as_json)
+
+
+@import_app.command(epilog="Example: omnislip import optiodom --out build/optiodom")
+def optiodom(
+    out: Annotated[Path, typer.Option(help="Folder for ROBOT/SERIES/RUN.csv and ROBOT.toml.")],
+    data: Data = None,
+    as_json: Json = False,
+) -> None:
+    """Encoders and motion capture of a four- and a three-wheeled robot (OptiOdom, 2022)."""
+    from omnislip.importers.optiodom import import_optiodom
+
+    _print_files(import_optiodom(data or data_folder(), out), as_json)
+
+
+def _print_files(paths: list[Path], as_json: bool) -> None:
+    written = [str(path) for path in paths]
     if as_json:
         _print_json({"files": written})
     else:

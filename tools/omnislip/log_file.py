@@ -5,9 +5,11 @@ A blank cell means "not sampled in this row"; it is NaN in memory. Which columns
               wheel/1..4/encoder_counts at t_s, cumulative, 16-bit wrap allowed;
               optional gyro/z_rad_s, supply/voltage_v, wheel/1..4/current_a, pose/x_m, pose/y_m,
               pose/theta_rad (world frame)
-    axis      axis/command (volt, ampere or duty, as the model says), axis/position_m or
-              axis/position_rad; optional axis/speed_m_s, axis/speed_rad_s, supply/voltage_v
-    odometry  wheel/1..n/encoder_counts, pose/x_m, pose/y_m, pose/theta_rad; optional gyro/z_rad_s
+    axis      axis/command (volt, ampere or duty, as the model says; blank = drive off, no current
+              flows), axis/position_m or axis/position_rad; optional axis/speed_m_s,
+              axis/speed_rad_s, supply/voltage_v
+    odometry  wheel/1..n/encoder_counts, pose/x_m, pose/y_m, pose/theta_rad; optional gyro/z_rad_s,
+              which nothing uses yet
 """
 
 import re
@@ -47,6 +49,8 @@ class Log:
     name: str
     t_s: Array
     columns: dict[str, Array]
+    series: str = ""
+    """Folder of the file: logs of one folder were taken under the same conditions."""
 
 
 def read_log(path: Path | str, kind: str | None) -> Log:
@@ -85,7 +89,7 @@ def read_log(path: Path | str, kind: str | None) -> Log:
             raise InputError(f"{path}: column '{name}' needs a value in at least 2 rows")
     _check_ranges(columns, locate)
     t_s = columns.pop("t_s")
-    return Log(path.stem, t_s, columns)
+    return Log(path.stem, t_s, columns, path.resolve().parent.name)
 
 
 def write_log(log: Log, path: Path | str) -> None:
@@ -158,7 +162,7 @@ def _columns_of_kind(kind: str, names: list[str]) -> tuple[list[str], list[str],
         return ROBOT_REQUIRED, [], ROBOT_OPTIONAL
     if kind == "axis":
         position = next((name for name in AXIS_POSITIONS if name in names), AXIS_POSITIONS[0])
-        return ["axis/command", position], [], AXIS_OPTIONAL
+        return [position], ["axis/command"], AXIS_OPTIONAL
     count = sum(COUNTS_PATTERN.fullmatch(name) is not None for name in names)
     wheels = range(1, max(count, MIN_ODOMETRY_WHEELS) + 1)
     return [f"wheel/{wheel}/encoder_counts" for wheel in wheels], POSE_COLUMNS, ["gyro/z_rad_s"]

@@ -3,7 +3,12 @@
 [model] kind says what the machine is (default "robot"):
     robot     four driven omni wheels; tables [robot] [motor] [contact] [encoder]
     axis      one driven axis, translating (mass_kg, N) or turning (inertia_kg_m2, N m)
-    odometry  geometry of a robot with any number of omni wheels, encoders only
+    odometry  geometry of a robot with 3 to 8 omni or mecanum wheels, encoders only. The encoders
+              are counted per turn of the wheel, so that positive counts turn the robot
+              counter-clockwise. A mecanum wheel has roller_angle_deg = 45 (0, the default, is an
+              omni wheel); wheel_angles_deg and wheel_distance_m are then those of the line in which
+              it pushes: a wheel at (x, y) whose rollers push along (cos b, sin b) has the angle
+              b - 90 degrees and the distance x sin b - y cos b
 
 [tolerance] gives the relative standard deviation of each believed value: `default` and one entry
 per key. Each [[effects.NAME]] table adds one effect of the catalogue to the model. A [define.NAME]
@@ -37,6 +42,7 @@ POSITIVE = "greater than 0"
 NOT_NEGATIVE = "0 or more"
 COUNT = "a whole number greater than 0"
 ANGLES = "a list of angles, one per wheel"
+ACUTE = "0 or more and less than 90"
 
 ROBOT_KEYS = {
     "robot.mass_kg": POSITIVE,
@@ -79,9 +85,11 @@ TURNING_AXIS_KEYS = {
     "axis.gravity_m_s2": POSITIVE,
     "axis.supply_v": POSITIVE,
 }
-# The catalogue of effects speaks of shafts. In the file of a translating axis its parameters have
-# the names, and so the units, of forces and speeds along the axis.
+# The catalogue of effects speaks of shafts and currents. In the file of an axis its parameters have
+# the names, and so the units, of what the axis knows.
+TURNING_NAMES = {"limit_a": "limit_nm"}
 TRANSLATING_NAMES = {
+    "limit_a": "limit_n",
     "torque_nm": "force_n",
     "viscous_friction_nm_s": "viscous_friction_n_s_m",
     "viscous_nm_s": "viscous_n_s_m",
@@ -93,9 +101,11 @@ ODOMETRY_KEYS = {
     "odometry.wheel_distance_m": POSITIVE,
     "odometry.wheel_angles_deg": ANGLES,
     "odometry.counts_per_rev": COUNT,
+    "odometry.roller_angle_deg": ACUTE,
 }
+OPTIONAL_ODOMETRY_KEYS = ("odometry.roller_angle_deg",)
 KINDS = ("robot", "axis", "odometry")
-MIN_ODOMETRY_WHEELS = 3
+MIN_ODOMETRY_WHEELS, MAX_ODOMETRY_WHEELS = 3, 8
 
 
 # Wiring mistakes are mended in the logs before the plant sees them. wheel_permutation: encoder
@@ -198,6 +208,13 @@ def parse_model(data: Mapping[str, Any], path: Path) -> Model:
     )
 
 
+def axis_names(values: Mapping[str, Any]) -> dict[str, str]:
+    """Return catalogue name -> name in the file of the parameters that an axis calls otherwise."""
+    if "axis.mass_kg" in values:
+        return TRANSLATING_NAMES
+    return TURNING_NAMES if "axis.inertia_kg_m2" in values else {}
+
+
 def with_definitions(model: Model, tables: Mapping[str, Any], path: Path) -> Model:
     """Return the model with more effects of the user's, from the [define.NAME] of another file."""
     doubled = [name for name in tables if name in model.definitions]
@@ -289,7 +306,7 @@ def _check_complete(kind: str, given: Mapping[str, Any], rules: dict[str, str], 
     if kind == "axis":
         _check_axis_complete(given, rules, path)
         return
-    missing = [key for key in rules if key not in given]
+    missing = [key for key in rules if key not in given and key not in OPTIONAL_ODOMETRY_KEYS]
     if missing:
         raise InputError(f"{path}: missing keys: {', '.join(missing)}")
 
@@ -309,10 +326,12 @@ def _check_axis_complete(given: Mapping[str, Any], rules: dict[str, str], path: 
 def _read_value(value: object, key: str, rule: str, kind: str, path: Path) -> float | list[float]:
     if rule == ANGLES:
         count = len(value) if isinstance(value, list) else 0
-        wanted = 4 if kind == "robot" else max(count, MIN_ODOMETRY_WHEELS)
+        most, least = MAX_ODOMETRY_WHEELS, MIN_ODOMETRY_WHEELS
+        wanted = 4 if kind == "robot" else min(max(count, least), most)
         return check_numbers(value, wanted, key, path)
     number = check_number(value, key, path)
-    in_range = number >= 0 if rule == NOT_NEGATIVE else number > 0
+    in_range = number >= 0 if rule in (NOT_NEGATIVE, ACUTE) else number > 0
+    in_range = in_range and (rule != ACUTE or number < 90)
     if not in_range or (rule == COUNT and not number.is_integer()):
         raise InputError(f"{path}: '{key}' must be {rule}, not {value}")
     return number
@@ -343,7 +362,7 @@ def _read_effects(
 ) -> list[Effect]:
     catalogue = {entry["name"]: entry for entry in entries}
     wheel_count = len(values.get(f"{kind}.wheel_angles_deg", []))
-    names = TRANSLATING_NAMES if "axis.mass_kg" in values else {}
+    names = axis_names(values)
     check_known(tables, [*catalogue, *WIRING, "impact"], "effect", path)
     effects = []
     for name, occurrences in tables.items():
