@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from axis_bench import MASS_KG, make_machine, model_text
 from omnislip import _core
-from omnislip.errors import InputError
 from omnislip.gap.machine import AXIS_KEYS, Machine
 from omnislip.model_file import NOMINAL_ROBOT, Effect, read_model, write_model
 
@@ -164,14 +163,19 @@ def test_a_turning_axis_speaks_of_newton_metres(tmp_path):
     )
 
 
-def test_gap_find_does_not_take_odometry_models(tmp_path):
+def test_an_odometry_may_lack_what_its_wheels_and_its_camera_may_do(tmp_path):
     path = tmp_path / "odometry.toml"
     path.write_text(
         '[model]\nkind = "odometry"\n[odometry]\nwheel_radius_m = 0.03\nwheel_distance_m = 0.1\n'
         "wheel_angles_deg = [0.0, 120.0, 240.0]\ncounts_per_rev = 1000\n"
     )
-    with pytest.raises(InputError, match=r"odometry\.toml.*odometry"):
-        Machine(read_model(path))
+    machine = Machine(read_model(path))
+    assert machine.wheels == 3
+    names = {candidate.name for candidate in machine.candidates()}
+    assert {"lateral_slip", "pose_latency", "wheel_radius_error (wheel 3)"} <= names
+    assert not names & {"wheel_radius_error (wheel 4)", "coulomb_friction", "weak_motor (wheel 1)"}
+    moving = [parameter.label for parameter in machine.base_parameters()]
+    assert moving == ["odometry.wheel_radius_m", "odometry.wheel_distance_m"]
 
 
 # ---- the amended model ----

@@ -163,6 +163,24 @@ def benchmark(
     print("refit, after: replay error on held-out runs in noise floors (1 = nothing left)")
 
 
+@app.command(epilog="Example: omnislip gap measured --out build/measured")
+def measured(
+    out: Annotated[Path, typer.Option(help="Folder for MEASURED.md, logs and reports.")],
+    data: Annotated[
+        Path | None,
+        typer.Option(help="Folder of data sets; default $OMNISLIP_DATA, else ../shared/data."),
+    ] = None,
+) -> None:
+    """Run the workflow and other methods on public measured data; several minutes."""
+    from omnislip.gap.measured import measure
+    from omnislip.importers import data_folder
+
+    check_folder(out)
+    with progress() as say:
+        page = measure(data or data_folder(), out, say)
+    print(f"wrote {page}")
+
+
 class progress:  # noqa: N801 - used as a statement
     """A status line on stderr: what is being done now; plain lines when stderr is no terminal."""
 

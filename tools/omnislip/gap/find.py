@@ -29,7 +29,7 @@ from omnislip.gap.metrics import (
 )
 from omnislip.gap.noise import Noise, tune_noise
 from omnislip.gap.plan import Separation, separating_manoeuvre
-from omnislip.gap.recordings import Run, machine_for, make_run
+from omnislip.gap.recordings import ODOMETRY_CHANNELS, Run, machine_for, make_run
 from omnislip.gap.search import Outcome, Selected, search
 from omnislip.gap.where import Map, Place, describe, map_gap
 from omnislip.gap.wiring import find_wiring, mend
@@ -48,6 +48,7 @@ Array = npt.NDArray[np.float64]
 
 SCHEMA = "omnislip-gap/1"
 RUNS_TO_HOLD_OUT_WHOLE = 5
+SERIES_TO_HOLD_OUT_WHOLE = 3
 UNKNOWN_SHARE = 0.2
 """A leftover term that gains more than this share of the named effects makes the verdict unknown:
 the names are right in place perhaps, but wrong in shape."""
@@ -140,7 +141,10 @@ def find_gap(
     pushes = cuts + [(impact.run, impact.time_s) for impact in impacts]
     split = split_runs(machine, logs, pushes)
     if not (split.fitting and split.validation and split.held_out):
-        reason = "between pushes and gaps too little is left to fit, to check and to hold out"
+        reason = (
+            f"between pushes and gaps too little is left to fit, to check and to hold out: each "
+            f"takes pieces of {LEAST_ROWS} rows ({split.how})"
+        )
         return _insufficient(machine, logs, reason, inputs)
     outcome = search(machine, split.fitting, split.validation, noise, progress)
     if not (outcome.selected or wiring or impacts or outcome.leftover):
@@ -254,15 +258,20 @@ def _mean_force_error(machine: Machine, runs: Sequence[Run], values: Array) -> f
 def split_runs(
     machine: Machine, logs: Sequence[Log], pushes: Sequence[tuple[str, float]] = ()
 ) -> Split:
-    """Hold out whole runs when there are five or more; else the last run, or the end of the one.
+    """Hold out whole series where there are three, else whole runs where there are five.
+
+    Else the last run, or the end of the one. A series is a folder of logs: what its runs have in
+    common (day, floor, clocks) must not help the model on the runs that judge it.
 
     A log is cut at its pushes (run, time).
     """
-    if len(logs) >= RUNS_TO_HOLD_OUT_WHOLE:
-        share = max(1, round(0.2 * len(logs)))
-        held = {round((k + 1) * len(logs) / share) - 1 for k in range(share)}
-        checks = {index - 1 for index in held}
-        roles = [2 if i in held else 1 if i in checks else 0 for i in range(len(logs))]
+    series = list(dict.fromkeys(log.series for log in logs))
+    if len(series) >= SERIES_TO_HOLD_OUT_WHOLE:
+        roles = dict(zip(series, _roles(len(series)), strict=True))
+        parts = [(roles[log.series], log, 0, len(log.t_s)) for log in logs]
+        how = "whole series (folders) of runs"
+    elif len(logs) >= RUNS_TO_HOLD_OUT_WHOLE:
+        roles = _roles(len(logs))
         parts = [(role, log, 0, len(log.t_s)) for role, log in zip(roles, logs, strict=True)]
         how = "whole runs"
     elif len(logs) > 1:
@@ -281,6 +290,13 @@ def split_runs(
     return Split(*runs, how)
 
 
+def _roles(count: int) -> list[int]:
+    """Every fifth is held out (2), the one before it checks (1), the others are fitted (0)."""
+    share = max(1, round(0.2 * count))
+    held = {round((k + 1) * count / share) - 1 for k in range(share)}
+    return [2 if i in held else 1 if i + 1 in held else 0 for i in range(count)]
+
+
 def _cut(log: Log, shares: Sequence[float]) -> list[tuple[int, Log, int, int]]:
     """Cut a log at shares of its rows: (role, log, begin, end)."""
     edges = [round(share * len(log.t_s)) for share in shares]
@@ -292,21 +308,22 @@ def _too_little(machine: Machine, logs: Sequence[Log]) -> str | None:
     total = sum(float(log.t_s[-1] - log.t_s[0]) for log in logs)
     if total < LEAST_TIME_S:
         return f"the logs hold {total:.2g} s, at least {LEAST_TIME_S:g} s are needed"
-    command = "wheel/1/duty" if machine.kind == "robot" else "axis/command"
-    commands = [n for n in logs[0].columns if n == command or n.endswith("/duty")]
-    if all(np.ptp(log.columns[name]) == 0 for log in logs for name in commands):
-        return "the command never changes"
     runs = [make_run(machine, log) for log in logs]
-    motors = machine.engine.motors
-    for motor in range(motors):
-        travel = max(
-            float(np.ptp(run.outputs[:, motor])) / _resolution(run.outputs[:, motor])
-            for run in runs
-        )
+    if all(np.ptp(run.command) == 0 for run in runs):
+        return "the command never changes"
+    for motor in range(machine.wheels):
+        travel = max(_travel(run, motor) for run in runs)
         if travel < LEAST_TRAVEL:
-            what = f"wheel {motor + 1}" if motors > 1 else "the axis"
+            what = f"wheel {motor + 1}" if machine.wheels > 1 else "the axis"
             return f"{what} hardly moves in any log"
     return None
+
+
+def _travel(run: Run, motor: int) -> float:
+    """Way of a motor in steps of its sensor; an odometry is driven by its encoders."""
+    driven = run.channels == ODOMETRY_CHANNELS
+    way = np.cumsum(run.command[:, motor]) if driven else run.outputs[:, motor]
+    return float(np.ptp(way)) / _resolution(way)
 
 
 def _resolution(values: Array) -> float:

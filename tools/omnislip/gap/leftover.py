@@ -58,6 +58,12 @@ class Leftover:
 
 def dictionary(machine: Machine) -> list[Term]:
     """Return the terms that are tried for a kind of machine."""
+    if machine.kind == "odometry":
+        return [
+            Term(f"odometry/{part}", name, (0, 1, 2), _of_odometry(machine, index, shape))
+            for index, part in enumerate(("forward", "lateral", "turning"))
+            for name, shape in MOTION_SHAPES.items()
+        ]
     if machine.kind == "axis":
         return [Term("axis/force", name, (0,), shape) for name, shape in SHAFT_SHAPES.items()]
     terms = [
@@ -216,5 +222,48 @@ def _in_world(axis: str, shape: Callable[[Array, Array], Array]) -> Callable[...
         heading = x[:, 13] if axis == "x" else x[:, 13] - np.pi / 2
         part = np.cos(heading) if state == 8 else -np.sin(heading)
         return shape(x, t) * part
+
+    return pushed
+
+
+MOTION_SHAPES: dict[str, Callable[[Array, Array], Array]] = {
+    "constant": lambda v, t: np.ones(len(v)),
+    "speed along": lambda v, t: v[:, 0],
+    "speed across": lambda v, t: v[:, 1],
+    "turning": lambda v, t: v[:, 2],
+    "size of the speed along": lambda v, t: np.abs(v[:, 0]),
+    "size of the speed across": lambda v, t: np.abs(v[:, 1]),
+    "size of the turning": lambda v, t: np.abs(v[:, 2]),
+    "turning and speed along": lambda v, t: v[:, 2] * v[:, 0],
+    "turning and speed across": lambda v, t: v[:, 2] * v[:, 1],
+    "direction of the speed along": lambda v, t: np.tanh(v[:, 0] / 0.02),
+    "direction of the speed across": lambda v, t: np.tanh(v[:, 1] / 0.02),
+    "direction of turning": lambda v, t: np.tanh(v[:, 2] / 0.05),
+    "time and speed along": lambda v, t: t * v[:, 0],
+    "time and speed across": lambda v, t: t * v[:, 1],
+    "time and turning": lambda v, t: t * v[:, 2],
+}
+
+
+def _of_odometry(
+    machine: Machine, part: int, shape: Callable[[Array, Array], Array]
+) -> Callable[..., Array]:
+    """A velocity of the body (forward, lateral, turning) beside the one of the encoders.
+
+    `shape` sees that one (rows, 3), as the believed geometry has it.
+    """
+    wheels, engine = machine.wheels, machine.engine
+    unit = np.zeros((wheels, engine.motors))
+    unit[:, :wheels] = np.eye(wheels)
+    per_rate = engine.derivatives(machine.believed, np.zeros((wheels, 3)), unit)
+
+    def pushed(x: Array, u: Array, t: Array, state: int) -> Array:
+        size = shape(u @ per_rate, t)
+        if part == 2 or state == 2:
+            return size if part == state else np.zeros(len(x))
+        heading = x[:, 2]
+        along = (np.cos(heading), np.sin(heading))
+        across = (-np.sin(heading), np.cos(heading))
+        return size * (along, across)[part][state]
 
     return pushed

@@ -12,13 +12,22 @@ import numpy as np
 import numpy.typing as npt
 
 from omnislip import _core
-from omnislip.errors import InputError
-from omnislip.model_file import TRANSLATING_NAMES, Effect, Model
+from omnislip.model_file import Effect, Model, axis_names
 
 Array = npt.NDArray[np.float64]
 
 # Known exactly: gearing and gravity, angles of the mounting, counts of the disc.
-EXACT_ROBOT_KEYS = ("robot.wheel_angles_deg", "motor.gear_ratio", "contact.gravity_m_s2")
+EXACT_KEYS = (
+    "robot.wheel_angles_deg",
+    "motor.gear_ratio",
+    "contact.gravity_m_s2",
+    "encoder.counts_per_rev",
+    "axis.gravity_m_s2",
+    "axis.supply_v",
+    "odometry.wheel_angles_deg",
+    "odometry.roller_angle_deg",
+    "odometry.counts_per_rev",
+)
 AXIS_KEYS = {
     "mass_kg": "axis.inertia",
     "inertia_kg_m2": "axis.inertia",
@@ -33,14 +42,20 @@ AXIS_KEYS = {
 # Dry friction is smoothed over this speed: slow enough to be dry, fast enough to integrate.
 AXIS_FRICTION_SPEED = {"linear": 1e-3, "rotary": 0.05}
 # The catalogue speaks of shafts; a translating axis says the same with its own units.
+TURNING_UNITS = {"limit_a": "N m"}
 TRANSLATING_UNITS = {
+    "limit_a": "N",
     "torque_nm": "N",
     "viscous_friction_nm_s": "N s/m",
     "viscous_nm_s": "N s/m",
     "speed_rad_s": "m/s",
     "cycles_per_rev": "rad/m",
 }
+AXIS_COMMAND = 3.0
+"""A command (V, A) that a limit worth looking for would clip."""
 PERIODIC_UNIT = "rad"
+NEEDS = {"pendulum_zero_error": "axis.pendulum_mass_kg"}
+"""Effects of what a machine may not have, and the key that says it has it."""
 
 
 @dataclass(frozen=True)
@@ -84,13 +99,13 @@ class Machine:
     """
 
     def __init__(self, model: Model, electric: bool = False) -> None:
-        if model.kind not in ("robot", "axis"):
-            raise InputError(f"{model.path}: gap find does not take a model of kind '{model.kind}'")
         self.model = model
         self.kind = model.kind
         self.linear = model.kind == "axis" and axis_is_linear(model)
         self.engine = _core.Engine(model.kind, user_effects=model.own_effects, electric=electric)
         self.electric = electric
+        self.wheels = len(model.values.get(f"{model.kind}.wheel_angles_deg", [0.0]))
+        """Wheels of the machine; an axis counts as one."""
         self.catalogue = {e["name"]: e for e in model.catalogue if model.kind in e["kinds"]}
         self._places = self._layout()
         self.believed = self._flat_values()
@@ -114,11 +129,12 @@ class Machine:
         found = []
         for entry in self.catalogue.values():
             wheels: Iterable[int | None] = (None,)
-            if self.engine.motors > 1 and entry["scope"] == "single":
-                wheels = range(1, self.engine.motors + 1)
-            elif self.engine.motors > 1 and entry["scope"] == "common or single":
-                wheels = (None, *range(1, self.engine.motors + 1))
-            found += [self._candidate(entry, wheel) for wheel in wheels]
+            if self.wheels > 1 and entry["scope"] == "single":
+                wheels = range(1, self.wheels + 1)
+            elif self.wheels > 1 and entry["scope"] == "common or single":
+                wheels = (None, *range(1, self.wheels + 1))
+            if entry["name"] not in NEEDS or NEEDS[entry["name"]] in self.model.values:
+                found += [self._candidate(entry, wheel) for wheel in wheels]
         return [candidate for candidate in found if self._has_starts(candidate)]
 
     def extensions(self, effect: str) -> list[Candidate]:
@@ -167,12 +183,13 @@ class Machine:
 
     def file_parameter(self, parameter: str) -> str:
         """Return the name of a catalogue parameter in this machine's files."""
-        return TRANSLATING_NAMES.get(parameter, parameter) if self.linear else parameter
+        return axis_names(self.model.values).get(parameter, parameter)
 
     def unit(self, effect: str, parameter: str) -> str:
         """Return the unit of a catalogue parameter on this machine."""
-        if self.linear and parameter in TRANSLATING_UNITS:
-            return TRANSLATING_UNITS[parameter]
+        units = TRANSLATING_UNITS if self.linear else TURNING_UNITS if self.kind == "axis" else {}
+        if parameter in units:
+            return units[parameter]
         entry = self.catalogue[effect]["parameters"]
         return next(p["unit"] for p in entry if p["name"] == parameter)
 
@@ -194,6 +211,9 @@ class Machine:
                 values[first : first + stride] = parameter["neutral"]
         base = _core.base_parameters(self.kind)
         values[: len(base)] = [parameter["default"] for parameter in base]
+        if self.kind == "odometry":
+            angles = [p["name"].startswith("odometry.wheel_angles_deg") for p in base]
+            values[: len(base)][angles] = np.nan  # wheels it does not have
         for key, places in self._key_places().items():
             values[list(places)] = self.model.values[key]
         if self.kind == "axis":
@@ -212,16 +232,15 @@ class Machine:
             values[places] = value
 
     def _catalogue_parameter(self, name: str) -> str:
-        if self.linear:
-            return next((k for k, linear in TRANSLATING_NAMES.items() if linear == name), name)
-        return name
+        names = axis_names(self.model.values)
+        return next((known for known, own in names.items() if own == name), name)
 
     def _key_places(self) -> dict[str, tuple[int, ...]]:
         names = [parameter["name"] for parameter in _core.base_parameters(self.kind)]
-        if self.kind == "robot":
-            keys = {key: [key] for key in self.model.values}
-            angles = "robot.wheel_angles_deg"
-            keys[angles] = [f"{angles}[{i}]" for i in range(self.engine.motors)]
+        if self.kind != "axis":
+            keys = {key: [key] for key in self.model.values if key != "odometry.counts_per_rev"}
+            angles = f"{self.kind}.wheel_angles_deg"
+            keys[angles] = [f"{angles}[{i}]" for i in range(self.wheels)]
         else:
             keys = {}
             for key in self.model.values:
@@ -233,8 +252,8 @@ class Machine:
         return {key: tuple(names.index(n) for n in plant) for key, plant in keys.items()}
 
     def _may_move(self, key: str) -> bool:
-        exact = (*EXACT_ROBOT_KEYS, "encoder.counts_per_rev", "axis.gravity_m_s2", "axis.supply_v")
-        return key not in exact and self.model.values[key] != 0 and self.model.tolerance_of(key) > 0
+        value = self.model.values[key]
+        return key not in EXACT_KEYS and value != 0 and self.model.tolerance_of(key) > 0
 
     def _base_parameter(self, key: str) -> Parameter:
         value = float(self.model.values[key])  # type: ignore[arg-type]
@@ -259,7 +278,10 @@ class Machine:
         else:
             scale = abs(entry["typical"])
         places = self.place(effect, entry["name"], wheel)
-        return Parameter(entry["name"], places, scale, entry["low"], entry["high"])
+        low = entry["low"]
+        if self.kind == "axis" and entry["name"] == "limit_a":
+            low = 0.01 * scale  # the catalogue's bound is in ampere
+        return Parameter(entry["name"], places, scale, low, entry["high"])
 
     def _has_starts(self, candidate: Candidate) -> bool:
         """Whether every shaping parameter has a value to start from; a floor patch has none."""
@@ -272,6 +294,7 @@ class Machine:
         viscous_size = max(0.1 * viscous, 0.01 * inertia)
         sizes = {
             "torque_nm": 0.1 * gain,
+            "limit_a": AXIS_COMMAND * gain,
             "viscous_friction_nm_s": viscous_size,
             "viscous_nm_s": viscous_size,
             "mass_kg": 0.05 * inertia,

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import Noise, track_all, tune_noise
-from omnislip.gap.recordings import Run, machine_for, make_run
+from omnislip.gap.recordings import Run, body_errors, machine_for, make_run
 from omnislip.gap.wiring import mend
 from omnislip.log_file import read_log
 from omnislip.model_file import read_model
@@ -90,6 +90,7 @@ def replay_all(
     for index, run in enumerate(runs):
         sampled = np.where(np.isnan(run.outputs), np.nan, 1.0)
         errors = np.stack([column[index][0] for column in columns]) * sampled * run.scale
+        errors = body_errors(run, errors)
         last_track = columns[-1][index][1]
         floor = last_track.replay_variance.reshape(run.outputs.shape) * run.scale**2
         # The first restart is at the first row past the settling time; its error is the old one's.

@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from omnislip import _core
+from omnislip.errors import InputError
 from omnislip.gap.machine import Machine
 from omnislip.log_file import Log
 from omnislip.model_file import Model
@@ -24,6 +25,10 @@ ELECTRIC_CHANNELS = ("supply/voltage_v", *(f"wheel/{wheel}/current_a" for wheel 
 """Outputs that follow when logs have any of them: a Machine that is `electric`."""
 
 
+ODOMETRY_CHANNELS = ("pose/forward_m", "pose/lateral_m", "pose/theta_rad")
+"""Errors of an odometry are told along and across the robot (`body_errors`)."""
+
+
 @dataclass(frozen=True)
 class Run:
     """One recording: a log, or a piece of one.
@@ -39,6 +44,8 @@ class Run:
     channels: tuple[str, ...]
     scale: Array
     recording: _core.Recording
+    off: npt.NDArray[np.bool_] | None = None
+    """Rows (rows,) in which the drive of an axis is switched off; `command` is 0 there."""
 
     @property
     def duration_s(self) -> float:
@@ -50,6 +57,8 @@ def make_run(machine: Machine, log: Log, begin: int = 0, end: int | None = None)
     """Turn rows begin..end of a log into a run."""
     rows = slice(begin, end)
     t_s = np.ascontiguousarray(log.t_s[rows])
+    if machine.kind == "odometry":
+        return _odometry_run(machine, log, rows, t_s)
     if machine.kind == "robot":
         command, outputs, state = _robot_signals(machine, log, rows, t_s)
         channels: tuple[str, ...] = robot_channels(machine)
@@ -64,7 +73,27 @@ def make_run(machine: Machine, log: Log, begin: int = 0, end: int | None = None)
         state = np.array([speed, outputs[0, 0]])
         channels, scale = (position,), np.ones(1)
     recording = machine.engine.recording(t_s, command, outputs, state)
-    return Run(log.name, t_s, command, outputs, channels, scale, recording)
+    # The engine reads a blank command as "drive off"; for everybody else that is no command.
+    off = np.isnan(command[:, 0])
+    return Run(log.name, t_s, np.nan_to_num(command), outputs, channels, scale, recording, off)
+
+
+def _odometry_run(machine: Machine, log: Log, rows: slice, t_s: Array) -> Run:
+    """Encoder rates (rows, wheels) in rad/s drive the model, the pose is what it is judged by."""
+    rad_per_count = 2 * np.pi / float(machine.model.values["odometry.counts_per_rev"])
+    names = [f"wheel/{wheel}/encoder_counts" for wheel in range(1, machine.wheels + 1)]
+    if names[-1] not in log.columns or f"wheel/{machine.wheels + 1}/encoder_counts" in log.columns:
+        raise InputError(f"{log.name}: the model has {machine.wheels} wheels, the log has others")
+    angles = np.stack([unwrap_counts(log.columns[name][rows]) for name in names], axis=1)
+    rates = np.diff(angles * rad_per_count, axis=0) / np.diff(t_s)[:, None]
+    rates = np.concatenate([rates, rates[-1:]])
+    pose = np.stack([log.columns[name][rows] for name in ROBOT_CHANNELS[5:]], axis=1)
+    pose[:, 2] = _unwrap_sampled(pose[:, 2])
+    first = np.array([column[~np.isnan(column)][0] for column in pose.T])
+    padded = np.zeros((len(t_s), machine.engine.motors))
+    padded[:, : machine.wheels] = rates
+    recording = machine.engine.recording(t_s, padded, pose, first)
+    return Run(log.name, t_s, rates, pose, ODOMETRY_CHANNELS, np.ones(3), recording)
 
 
 def machine_for(model: Model, logs: Sequence[Log]) -> Machine:
@@ -127,6 +156,18 @@ def _first_state(machine: Machine, t_s: Array, outputs: Array) -> Array:
     first = [column[~np.isnan(column)][:1] for column in outputs[:, 5:8].T]
     pose = [float(value[0]) if value.size else 0.0 for value in first]
     return np.concatenate([speed, outputs[0, :4], velocity, pose])
+
+
+def body_errors(run: Run, errors: Array) -> Array:
+    """Turn errors (..., rows, channels) of an odometry's x and y into forward and lateral ones.
+
+    Anything else comes back as it is.
+    """
+    if run.channels != ODOMETRY_CHANNELS:
+        return errors
+    turn = np.exp(-1j * run.outputs[:, 2])
+    along = (errors[..., 0] + 1j * errors[..., 1]) * turn
+    return np.stack([along.real, along.imag, errors[..., 2]], axis=-1)
 
 
 def wheel_jacobian(machine: Machine) -> Array:

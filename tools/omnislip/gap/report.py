@@ -19,6 +19,7 @@ from omnislip.gap import find, metrics, report_pictures, search
 from omnislip.gap.find import Findings, to_json
 from omnislip.gap.machine import Candidate, Machine
 from omnislip.gap.metrics import Replays
+from omnislip.gap.recordings import ODOMETRY_CHANNELS
 from omnislip.gap.search import Trial
 from omnislip.model_file import format_model
 
@@ -36,6 +37,8 @@ CHANNELS = {
     "pose/x_m": ("position x", "m"),
     "pose/y_m": ("position y", "m"),
     "pose/theta_rad": ("heading", "rad"),
+    "pose/forward_m": ("position along the robot", "m"),
+    "pose/lateral_m": ("position across the robot", "m"),
     "axis/position_m": ("position", "m"),
     "axis/position_rad": ("angle", "rad"),
 }
@@ -293,7 +296,8 @@ def _run_pictures(replays: Replays, models: Sequence[tuple[int, str]]) -> list[J
         if np.all(np.isnan(replays.errors[0][replays.counted, index])):
             continue
         name, unit = CHANNELS[channel]
-        picture = report_pictures.replay_picture(replays, index, unit, unit == "counts", models)
+        cumulative = unit == "counts" or channel in ODOMETRY_CHANNELS
+        picture = report_pictures.replay_picture(replays, index, unit, cumulative, models)
         pictures.append({"name": name, "channel": channel, "source": picture})
     return pictures
 

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import Noise, track_all
-from omnislip.gap.recordings import Run
+from omnislip.gap.recordings import ODOMETRY_CHANNELS, Run
 
 Array = npt.NDArray[np.float64]
 
@@ -29,6 +29,8 @@ ROBOT_EQUATIONS = {
     "pose/heading": (13,),
 }
 AXIS_EQUATIONS = {"axis/force": (0,)}  # one sensor: force and position are corrected alike
+ODOMETRY_EQUATIONS = {"pose/position": (0, 1), "pose/heading": (2,)}
+EQUATIONS = {"robot": ROBOT_EQUATIONS, "axis": AXIS_EQUATIONS, "odometry": ODOMETRY_EQUATIONS}
 WINDOW_S = 0.25
 LEAST_SHARE = 0.05
 MOST_ROWS = 4
@@ -58,7 +60,7 @@ def map_gap(
     machine: Machine, runs: Sequence[Run], noise: Noise, refit: Array, after: Array | None
 ) -> Map:
     """Return where the refitted model is corrected more than the one with effects (or chance)."""
-    equations = ROBOT_EQUATIONS if machine.kind == "robot" else AXIS_EQUATIONS
+    equations = EQUATIONS[machine.kind]
     before = _corrections(machine, runs, noise, refit, equations)
     if after is None:
         excess = [b - np.sum(b > 0, axis=0, keepdims=True) / len(b) for b in before]
@@ -105,6 +107,8 @@ def _corrections(
 
 def _coordinates(run: Run) -> dict[str, Array]:
     """Quantities a condition may name, one value per row; `wheel/i/...` belong to wheel i."""
+    if run.channels == ODOMETRY_CHANNELS:
+        return _motion(run)
     motors = run.command.shape[1]
     angles = run.outputs[:, :motors]
     speed = np.gradient(angles, run.t_s, axis=0)
@@ -122,6 +126,22 @@ def _coordinates(run: Run) -> dict[str, Array]:
     return found
 
 
+def _motion(run: Run) -> dict[str, Array]:
+    """The same of an odometry, from its measured pose."""
+    pose = np.stack(
+        [np.interp(run.t_s, run.t_s[~np.isnan(c)], c[~np.isnan(c)]) for c in run.outputs.T], axis=1
+    )
+    rate = _smooth(np.gradient(pose, run.t_s, axis=0))
+    along = (rate[:, 0] + 1j * rate[:, 1]) * np.exp(-1j * pose[:, 2])
+    return {
+        "time": run.t_s - run.t_s[0],
+        "speed along": np.abs(along.real),
+        "speed across": np.abs(along.imag),
+        "turning": np.abs(rate[:, 2]),
+        "change of speed": np.abs(np.gradient(np.abs(along), run.t_s)),
+    }
+
+
 def _smooth(values: Array) -> Array:
     kernel = np.ones(5) / 5
     return np.stack([np.convolve(column, kernel, mode="same") for column in values.T], axis=1)
@@ -134,6 +154,10 @@ PHRASES = {
     "command": ("at small command", "at large command"),
     "driving": ("while braking", "while driving"),
     "acceleration": ("at steady speed", "while accelerating"),
+    "speed along": ("moving little along itself", "moving fast along itself"),
+    "speed across": ("moving little sideways", "moving fast sideways"),
+    "turning": ("turning little", "turning fast"),
+    "change of speed": ("at steady speed", "while starting or stopping"),
     "total command": ("while the motors draw little", "while all motors draw much"),
 }
 

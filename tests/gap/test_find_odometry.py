@@ -1,0 +1,146 @@
+"""The workflow on encoders and poses: hidden slip and delays are named, series are held out."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from omnislip.errors import InputError
+from omnislip.gap.find import find_gap, split_runs
+from omnislip.gap.machine import Machine
+from omnislip.gap.recordings import ODOMETRY_CHANNELS, body_errors, make_run
+from omnislip.log_file import Log, write_log
+from omnislip.model_file import read_model
+
+RADIUS_M, DISTANCE_M, COUNTS = 0.05, 0.2, 12000
+ANGLES_DEG = [30.0, 150.0, 210.0, 330.0]
+ROW_S, FINE = 0.1, 50
+MODEL = f"""[model]
+kind = "odometry"
+[odometry]
+wheel_radius_m = {RADIUS_M}
+wheel_distance_m = {DISTANCE_M}
+wheel_angles_deg = {ANGLES_DEG}
+counts_per_rev = {COUNTS}
+"""
+
+
+def make_log(seed, slip=0.0, delay_s=0.0, seconds=30.0, series=""):
+    """A robot that drives smoothly at random; integrated 50 times a row, in world coordinates."""
+    rng = np.random.default_rng(seed)
+    fine_s = ROW_S / FINE
+    t_s = np.arange(0.0, seconds + delay_s, fine_s)
+    waves = rng.uniform(0.05, 0.5, (3, 4))[:, :, None] * 2 * np.pi * t_s
+    waves = np.sin(waves + rng.uniform(0, 2 * np.pi, (3, 4))[:, :, None]).sum(axis=1)
+    claimed = np.array([[0.15], [0.15], [0.3]]) * waves * np.clip(t_s - delay_s - 0.5, 0, 1)
+    g = np.deg2rad(ANGLES_DEG)
+    jacobian = np.stack([-np.sin(g), np.cos(g), np.full(4, DISTANCE_M)], axis=1)
+    angles = np.cumsum(jacobian @ claimed, axis=1) * fine_s / RADIUS_M
+    heading = np.cumsum(claimed[2]) * fine_s
+    velocity = (claimed[0] + 1j * (1 - slip) * claimed[1]) * np.exp(1j * heading)
+    place = np.cumsum(velocity) * fine_s
+    rows = np.arange(0, round(seconds / fine_s), FINE)
+    shown = rows  # the camera shows this moment, the encoders one `delay_s` later
+    now = rows + round(delay_s / fine_s)
+    noise = 3e-4 * rng.standard_normal((3, len(rows)))
+    counts = np.round(angles[:, now] * COUNTS / (2 * np.pi))
+    columns = {f"wheel/{i + 1}/encoder_counts": counts[i] for i in range(4)}
+    columns |= {
+        "pose/x_m": place.real[shown] + noise[0],
+        "pose/y_m": place.imag[shown] + noise[1],
+        "pose/theta_rad": heading[shown] + noise[2],
+    }
+    return Log(f"run_{seed:02d}", rows * fine_s, columns, series)
+
+
+@pytest.fixture
+def model(tmp_path):
+    path = tmp_path / "robot.toml"
+    path.write_text(MODEL)
+    return path
+
+
+def find(folder, model, logs):
+    paths = [folder / log.series / f"{log.name}.csv" for log in logs]
+    for path, log in zip(paths, logs, strict=True):
+        write_log(log, path)
+    return find_gap(model, paths, lambda text: None)
+
+
+def named(findings):
+    return [s.candidate.name for s in findings.outcome.selected]
+
+
+def test_lateral_slip_is_named_and_sized(tmp_path, model):
+    findings = find(tmp_path, model, [make_log(seed, slip=0.05) for seed in range(6)])
+    assert findings.verdict == "effect_found"
+    assert named(findings) == ["lateral_slip"]
+    # The only thing that errs is a believed key within its tolerance of 2 %.
+    assert findings.outcome.selected[0].values[0] == pytest.approx(0.05, abs=0.01)
+    assert findings.table.closed.low > 0.9
+    assert findings.table.channels == ODOMETRY_CHANNELS
+
+
+def test_latency_is_named_and_sized(tmp_path, model):
+    findings = find(tmp_path, model, [make_log(seed, delay_s=0.14) for seed in range(6)])
+    assert named(findings) == ["pose_latency"]
+    assert findings.outcome.selected[0].values[0] == pytest.approx(0.14, abs=0.01)
+
+
+def test_a_right_model_has_no_gap(tmp_path, model):
+    findings = find(tmp_path, model, [make_log(seed) for seed in range(6)])
+    assert findings.verdict == "no_gap"
+    assert findings.outcome.limits["lateral_slip"]["fraction"] < 0.02
+
+
+def test_a_radius_that_is_wrong_beyond_its_tolerance_is_an_effect_with_its_alias(tmp_path, model):
+    model.write_text(MODEL.replace(str(RADIUS_M), "0.046"))
+    findings = find(tmp_path, model, [make_log(seed) for seed in range(6)])
+    (effect,) = findings.outcome.selected
+    assert {effect.candidate.name, *effect.rivals} >= {"wheel_radius_error", "encoder_scale"}
+
+
+def test_the_amended_model_has_no_gap(tmp_path, model):
+    logs = [make_log(seed, slip=0.05) for seed in range(6)]
+    amended = tmp_path / "amended.toml"
+    from omnislip.model_file import write_model
+
+    write_model(find(tmp_path, model, logs).amended, amended)
+    assert find(tmp_path, amended, logs).verdict == "no_gap"
+
+
+def test_series_are_held_out_whole(model):
+    machine = Machine(read_model(model))
+    logs = [make_log(3 * s + k, series=f"day_{s}", seconds=8.0) for s in range(3) for k in range(3)]
+    split = split_runs(machine, logs)
+    assert [run.name for run in split.fitting] == ["run_00", "run_01", "run_02"]
+    assert [run.name for run in split.validation] == ["run_03", "run_04", "run_05"]
+    assert [run.name for run in split.held_out] == ["run_06", "run_07", "run_08"]
+    assert "series" in split.how
+
+
+def test_errors_are_told_along_and_across_the_robot(model):
+    run = make_run(Machine(read_model(model)), make_log(0))
+    ahead = np.stack([np.cos(run.outputs[:, 2]), np.sin(run.outputs[:, 2]), 0 * run.t_s], axis=1)
+    np.testing.assert_allclose(body_errors(run, ahead), [[1.0, 0.0, 0.0]] * len(run.t_s), atol=1e-9)
+
+
+def test_a_log_with_another_number_of_wheels_is_refused(model):
+    log = make_log(0)
+    columns = {k: v for k, v in log.columns.items() if k != "wheel/4/encoder_counts"}
+    with pytest.raises(InputError, match="4 wheels"):
+        make_run(Machine(read_model(model)), dataclasses.replace(log, columns=columns))
+
+
+def test_logs_too_short_to_be_split_are_said_to_be_too_short(tmp_path, model):
+    logs = [make_log(seed, seconds=12.0) for seed in range(2)]  # a quarter is 30 rows
+    findings = find(tmp_path, model, logs)
+    assert findings.verdict == "insufficient_data"
+    assert "50 rows" in findings.sentence
+
+
+def test_wheels_that_stand_still_teach_nothing(tmp_path, model):
+    log = make_log(0)
+    columns = {k: 0 * v if k == "wheel/2/encoder_counts" else v for k, v in log.columns.items()}
+    findings = find(tmp_path, model, [dataclasses.replace(log, columns=columns)])
+    assert findings.verdict == "insufficient_data"
+    assert "wheel 2" in findings.sentence
