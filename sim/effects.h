@@ -217,7 +217,7 @@ struct StateOfChargeDrift : Effect {
                                         kRobot,
                                         kSupply,
                                         1,
-                                        {{"rate_1_s", "1/s", 0.0, -0.05, 0.05, 0.002}}};
+                                        {{"rate_1_s", "1/s", 0.0, 0.0, 0.05, 0.002}}};
     template <class S>
     static void supply(SupplyTerm<S> &c, const Values<S> &p) {
         c.open_circuit_v = c.open_circuit_v * (S(1.0) - p(0) * c.time_s);
@@ -555,7 +555,7 @@ struct QuadraticWheelDrag : Effect {
         kRobot | kAxis,
         kShaft,
         1,
-        {{"coefficient", "N m s^2", 0.0, -kUnbounded, kUnbounded, 4.0e-8}}};
+        {{"coefficient", "N m s^2", 0.0, 0.0, kUnbounded, 4.0e-8}}};
     template <class S, int N>
     static void shaft(ShaftTerm<S, N> &c, const Values<S> &p) {
         using std::abs;
@@ -635,7 +635,7 @@ struct ShaftCompliance : Effect {
         kPrepare,
         2,
         {{"stiffness_nm_rad", "N m/rad", kUnbounded, 5.0, kUnbounded, 100.0},
-         {"damping_nm_s_rad", "N m s/rad", 0.1, 0.0, 10.0, 0.0}}};
+         {"damping_nm_s_rad", "N m s/rad", 0.1, 0.0, 1.0, 0.0}}};
     template <class S, int N>
     static void prepare(Constants<S, N> &c, const Values<S> &p) {
         for (int i = 0; i < N; ++i) {
@@ -825,7 +825,7 @@ struct GripFalloff : Effect {
         kRobot,
         kContact,
         2,
-        {{"fraction", "1", 0.0, -0.5, 0.9, 0.2}, {"speed_m_s", "m/s", 0.3, 0.02, 5.0, 0.0}}};
+        {{"fraction", "1", 0.0, 0.0, 0.9, 0.2}, {"speed_m_s", "m/s", 0.3, 0.02, 5.0, 0.0}}};
     template <class S, int N>
     static void contact(ContactTerm<S, N> &c, const Values<S> &p) {
         using std::exp;
@@ -1139,7 +1139,7 @@ struct BodyDrag : Effect {
         kRobot,
         kBody,
         1,
-        {{"coefficient_n_s_m", "N s/m", 0.0, -10.0, 100.0, 2.0}}};
+        {{"coefficient_n_s_m", "N s/m", 0.0, 0.0, 100.0, 2.0}}};
     template <class S, int N>
     static void body(BodyTerm<S, N> &c, const Values<S> &p) {
         c.force_x_n = c.force_x_n - p(0) * c.vx_m_s;
@@ -1157,7 +1157,7 @@ struct QuadraticBodyDrag : Effect {
                                         kRobot,
                                         kBody,
                                         1,
-                                        {{"coefficient", "N s^2/m^2", 0.0, -10.0, 60.0, 2.0}}};
+                                        {{"coefficient", "N s^2/m^2", 0.0, 0.0, 60.0, 2.0}}};
     template <class S, int N>
     static void body(BodyTerm<S, N> &c, const Values<S> &p) {
         using std::sqrt;

@@ -1,102 +1,157 @@
 """The benchmark scores what it finds against what was hidden, and resumes where it was."""
 
 import json
+from itertools import pairwise
 
 import pytest
 from axis_bench import silent
+from hypothesis import given
+from hypothesis import strategies as st
 from omnislip.gap import benchmark
-from omnislip.gap.benchmark import TEN, run_benchmark
+from omnislip.gap.benchmark import (
+    SIZES,
+    Task,
+    draw_confusion,
+    run_benchmark,
+    score,
+    summary,
+    tasks,
+)
+from omnislip.gap.truth import TruthCase
+from omnislip.gap.truth_effects import EFFECTS, UNKNOWN_EFFECTS, HiddenEffect
 
 
-def answer(*effects, verdict="effect_found"):
-    """A stand-in for what to_json returns: named effects with a value for each parameter."""
-    named = [
-        {"name": n, "wheel": w, "parameters": {k: {"value": v} for k, v in sizes.items()}}
-        for n, w, sizes in effects
-    ]
-    channel = {"believed": 4.0, "refit": 3.0, "after": 1.0, "noise_floor": 1.0}
+def truth(*effects, curve="atan"):
+    """Truth of a case: effects as (name, wheel, sizes)."""
     return {
-        "verdict": verdict,
-        "effects": named,
-        "gap": {"channels": {"pose/x_m": channel}, "closed_fraction": {"value": 1.0}},
+        "effects": [HiddenEffect(n, s, w).as_dict() for n, w, s in effects],
+        "also_true": [] if curve == "atan" else ["contact_shape"],
+        "friction_curve": curve,
+        "closed_loop": False,
+        "excitation": "rich",
+        "sensors": ["gyro", "pose"],
+        "expected_verdict": "effect_found" if effects else "no_gap",
     }
 
 
-@pytest.fixture
-def scored(tmp_path, monkeypatch):
-    """Row of the benchmark for a hidden effect and a given answer of the workflow."""
-
-    def score(hidden, found):
-        monkeypatch.setattr(benchmark, "find_gap", lambda *_: None)
-        monkeypatch.setattr(benchmark, "to_json", lambda _: found)
-        monkeypatch.setattr(benchmark, "write_case", write_short)
-        [row] = run_benchmark(tmp_path, [hidden], 1, silent)
-        return row
-
-    return score
-
-
-def write_short(case, folder):
-    """The truth only; nobody reads the logs."""
-    folder.mkdir(parents=True, exist_ok=True)
-    return {"effects": [effect.as_dict() for effect in case.hidden()]}
+def answer(*effects, verdict="effect_found", rivals=()):
+    """gap.json of an answer: named effects with a value for each parameter, +-10 %."""
+    named = [
+        {
+            "name": n,
+            "wheel": w,
+            "parameters": {
+                k: {"value": v, "low": v - 0.1 * abs(v), "high": v + 0.1 * abs(v)}
+                for k, v in sizes.items()
+            },
+            "ambiguous_with": list(rivals),
+        }
+        for n, w, sizes in effects
+    ]
+    return {"verdict": verdict, "effects": named, "unknown": [], "nearest": []}
 
 
-def test_right_name_is_right_and_its_size_is_compared(scored):
-    row = scored("payload", answer(("payload", None, {"mass_kg": 3.3})))
-    assert row["right"]
-    assert row["size_error"] == pytest.approx(0.1, abs=1e-9)
-    assert (row["refit_in_floors"], row["after_in_floors"]) == (3.0, 1.0)
+LOAD, DRAG = ("payload", None, {"mass_kg": 3.0}), ("body_drag", None, {"coefficient_n_s_m": 2.0})
+CURVE = ("contact_shape", None, {"blend": 0.4})
 
 
-def test_wrong_name_is_wrong(scored):
-    row = scored("payload", answer(("body_drag", None, {"coefficient_n_s_m": 2.0})))
-    assert not row["right"]
-    assert row["size_error"] is None
+def test_right_name_is_right_and_its_size_is_compared():
+    row = score(truth(("payload", None, {"mass_kg": 3.3})), answer(LOAD))
+    assert row["first"] and row["exact"] and row["in_set"] == [True]
+    [size] = row["sizes"]
+    assert size["error"] == pytest.approx(0.3 / 3.3) and size["inside"]
 
 
-def test_an_extra_effect_is_wrong(scored):
-    extra = ("body_drag", None, {"coefficient_n_s_m": 2.0})
-    assert not scored("payload", answer(("payload", None, {"mass_kg": 3.0}), extra))["right"]
-
-
-def test_a_friction_curve_may_be_found_besides(scored):
-    """The generator rubs by another curve than the believed one: that is a fair find."""
-    curve = ("contact_shape", None, {"blend": 0.4})
-    assert scored("payload", answer(("payload", None, {"mass_kg": 3.0}), curve))["right"]
-
-
-def test_the_right_effect_on_the_wrong_wheel_is_wrong(scored):
-    rows = [scored("weak_motor", answer(("weak_motor", w, {"scale": 0.9}))) for w in [None]]
-    assert not rows[0]["right"]
+def test_the_size_of_a_scale_is_what_it_lacks_to_one():
+    row = score(
+        truth(("weak_motor", 2, {"scale": 0.9})), answer(("weak_motor", 2, {"scale": 0.91}))
+    )
+    assert row["sizes"][0]["error"] == pytest.approx(0.1)
 
 
 @pytest.mark.parametrize(
-    "found, right",
+    "named, first, exact",
     [
-        (answer(verdict="no_gap"), True),
-        (answer(("payload", None, {"mass_kg": 1.0})), False),
+        ([DRAG], False, False),
+        ([LOAD, DRAG], True, False),
+        ([DRAG, LOAD], False, False),
+        ([LOAD], True, True),
+        ([], False, False),
     ],
-    ids=["nothing named", "something named"],
 )
-def test_nothing_hidden_is_right_when_nothing_is_named(found, right, scored):
-    assert scored("none", found)["right"] == right
+def test_first_name_and_exact_set(named, first, exact):
+    row = score(truth(LOAD), answer(*named))
+    assert (row["first"], row["exact"]) == (first, exact)
 
 
-def test_an_unknown_verdict_names_nothing(scored):
-    """Something is missing and the workflow does not say what: not right."""
-    assert not scored("payload", answer(verdict="unknown_effect"))["right"]
+def test_a_friction_curve_may_be_found_besides_where_there_is_one():
+    assert score(truth(LOAD, curve="tanh"), answer(CURVE, LOAD))["exact"]
+    assert not score(truth(LOAD), answer(LOAD, CURVE))["exact"]
 
 
-def test_finished_cases_are_read_back(tmp_path, monkeypatch):
+def test_the_right_effect_on_the_wrong_wheel_is_wrong():
+    hidden = truth(("weak_motor", 2, {"scale": 0.9}))
+    row = score(hidden, answer(("weak_motor", 3, {"scale": 0.9})))
+    assert not row["exact"] and row["wheel"] is False
+
+
+def test_a_rival_is_inside_the_set():
+    row = score(truth(LOAD), answer(DRAG, rivals=["payload"]))
+    assert row["in_set"] == [True] and row["set_size"] == [2] and not row["exact"]
+
+
+@pytest.mark.parametrize("found, right", [(answer(verdict="no_gap"), True), (answer(LOAD), False)])
+def test_nothing_hidden_is_right_when_nothing_is_named(found, right):
+    assert score(truth(), found)["exact"] == right
+
+
+def test_a_push_counts_when_its_time_is_right():
+    push = {"time_s": 2.0, "impulse_x_n_s": 3.0}
+    hidden = truth() | {"effects": [HiddenEffect("impact", push, None, "run_02").as_dict()]}
+    for late_s, in_time in ((0.01, 1), (0.02, 0)):
+        found = answer(("impact", None, push | {"time_s": 2.0 + late_s}))
+        found["effects"][0]["run"] = "run_02"
+        assert score(hidden, found)["impacts"] == {"in_time": in_time, "hidden": 1, "found": 1}
+
+
+def test_every_effect_is_hidden_somewhere_in_the_full_set():
+    hidden = {e["name"] for task in tasks("sealed", "full") for e in task.case.effects}
+    assert hidden >= set(EFFECTS) | set(UNKNOWN_EFFECTS)
+
+
+def test_sets_share_no_seed_and_smaller_sizes_are_parts():
+    names = {size: [t.name for t in tasks("development", size)] for size in SIZES}
+    assert set(names["tiny"]) < set(names["small"]) < set(names["full"])
+    seeds = [{t.case.seed for t in tasks(which, "full")} for which in ("development", "sealed")]
+    assert not seeds[0] & seeds[1]
+
+
+@given(hits=st.integers(0, 50), misses=st.integers(0, 50))
+def test_wilson_interval_holds_the_share_and_stays_in_bounds(hits, misses):
+    one = benchmark._wilson(hits, hits + misses)
+    if hits + misses == 0:
+        assert one["value"] is None
+    else:
+        edges = [-1e-12, one["low"], one["value"], one["high"], 1 + 1e-12]
+        assert all(a <= b + 1e-12 for a, b in pairwise(edges))
+
+
+def test_finished_cases_are_read_back_and_summed_up(tmp_path, monkeypatch):
     monkeypatch.setattr(benchmark, "find_gap", lambda *_: pytest.fail("was finished"))
-    row = {"hidden": "payload", "right": True}
-    (tmp_path / "payload_01").mkdir()
-    (tmp_path / "payload_01" / "result.json").write_text(json.dumps(row))
-    assert run_benchmark(tmp_path, ["payload"], 1, silent) == [row]
-
-
-def test_the_ten_are_effects_of_the_generator():
-    assert len(set(TEN)) == 10
-    for name in TEN:
-        assert benchmark.typical_effect(name, 2).name == name
+    row = score(truth(LOAD), answer(LOAD)) | {
+        "name": "one",
+        "kind": "single",
+        "time_s": 1.0,
+        "lambda": 100.0,
+        "gap_closed": 0.9,
+        "gap_closed_oracle": 1.0,
+    }
+    (tmp_path / "one").mkdir()
+    (tmp_path / "one" / "result.json").write_text(json.dumps(row))
+    rows = run_benchmark(tmp_path, [Task("one", "single", TruthCase(seed=1))], silent)
+    assert rows == [json.loads(json.dumps(row))]
+    figures = summary(rows)
+    assert figures["single: first name right"]["value"] == 1.0
+    assert figures["gap closed against the oracle, median"]["value"] == pytest.approx(0.9)
+    draw_confusion(rows, tmp_path / "confusion.png")
+    assert (tmp_path / "confusion.png").stat().st_size > 1000

@@ -118,7 +118,7 @@ def test_nothing_hidden_nothing_found(nothing_hidden):
 
 def test_no_gap_gives_a_limit_of_detection_for_every_candidate(nothing_hidden):
     result = to_json(nothing_hidden)
-    candidates = {c.name for c in nothing_hidden.machine.candidates()}
+    candidates = {c.name for c in nothing_hidden.machine.candidates()} | {"slippery_patch"}
     assert set(result["detection_limits"]) == candidates
     sizes = [v for limits in result["detection_limits"].values() for v in limits.values()]
     assert all(np.isfinite(v) and v > 0 for v in sizes)

@@ -6,6 +6,7 @@ import shlex
 import sys
 import time
 from collections.abc import Callable
+from enum import Enum
 from pathlib import Path
 from typing import Annotated
 
@@ -21,6 +22,8 @@ app = typer.Typer(
 )
 
 Robot = Annotated[Path, typer.Option(help="Model file (robot.toml).")]
+Set = Enum("Set", {name: name for name in ("development", "sealed")})
+Size = Enum("Size", {name: name for name in ("tiny", "small", "full")})
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 
 
@@ -125,42 +128,58 @@ def evaluate(
     Console().print(table)
 
 
-@app.command(epilog="Example: omnislip gap benchmark --out build/benchmark --per-effect 3")
+@app.command(epilog="Example: omnislip gap benchmark --out build/benchmark --size small")
 def benchmark(
     out: Annotated[Path, typer.Option(help="Folder for the cases and results; resumes there.")],
-    effects: Annotated[
+    which: Annotated[
+        Set, typer.Option("--set", help="development: to learn from; sealed: for the figures.")
+    ] = Set.development,
+    size: Annotated[Size, typer.Option(help="Number of cases: 8, 121 or 497.")] = Size.tiny,
+    kinds: Annotated[
         list[str] | None,
-        typer.Option("--effect", help="Hidden effect, or 'none'; repeat. Default: ten and none."),
+        typer.Option("--kind", help="Class of cases, e.g. single or null; repeat. Default: all."),
     ] = None,
-    per_effect: Annotated[int, typer.Option(min=1, help="Cases of each.")] = 1,
     as_json: Json = False,
 ) -> None:
     """Hide effects in logs of an independent simulator and see whether they are found."""
-    from omnislip.gap.benchmark import TEN, run_benchmark
+    from omnislip.gap.benchmark import SIZES, draw_confusion, run_benchmark, summary, tasks
 
     check_folder(out)
+    for kind in kinds or ():
+        if kind not in SIZES[size.value]:
+            raise InputError(f"--kind {kind}: is one of {', '.join(SIZES[size.value])}")
     with progress() as say:
-        rows = run_benchmark(out, effects or [*TEN, "none"], per_effect, say)
+        rows = run_benchmark(out, tasks(which.value, size.value, kinds or ()), say)
+    figures = summary(rows)
+    draw_confusion(rows, out / "confusion.png")
     if as_json:
-        print(json.dumps(rows, indent=1, allow_nan=False))
+        print(json.dumps({"summary": figures, "cases": rows}, indent=1, allow_nan=False))
         return
-    table = Table(title="hidden effects")
-    for heading in ("hidden", "curve", "named", "right", "size error", "refit", "after", "time"):
+    _print_cases(rows)
+    table = Table(title=f"{which.value} set, {len(rows)} cases, 95 % intervals")
+    for heading in ("figure", "reached", "interval", "cases"):
+        table.add_column(heading)
+    for name, one in figures.items():
+        if one["value"] is None:
+            continue
+        interval = f"{one['low']:.3f} to {one['high']:.3f}" if "low" in one else ""
+        cases = f"{one['hits']} of {one['of']}" if "hits" in one else str(one["of"])
+        table.add_row(name, f"{one['value']:.3f}", interval, cases)
+    Console().print(table)
+    print(f"hidden against named: {out / 'confusion.png'}")
+
+
+def _print_cases(rows: list[dict]) -> None:
+    table = Table(title="cases that were not solved exactly")
+    for heading in ("case", "curve", "lambda", "verdict", "named"):
         table.add_column(heading, overflow="fold")
     for row in rows:
-        error = row["size_error"]
-        table.add_row(
-            row["hidden"],
-            row["friction_curve"],
-            ", ".join(row["named"]) or row["verdict"],
-            "yes" if row["right"] else "no",
-            f"{100 * error:.1f} %" if error is not None else "",
-            f"{row['refit_in_floors']:.2f}",
-            f"{row['after_in_floors']:.2f}",
-            f"{row['time_s']:.0f} s",
-        )
+        if (row["kind"] == "unknown" and row["verdict"] == "unknown_effect") or row["exact"]:
+            continue
+        strength = "" if row["lambda"] is None else f"{row['lambda']:.0f}"
+        named = ", ".join(row["named"])
+        table.add_row(row["name"], row["friction_curve"], strength, row["verdict"], named)
     Console().print(table)
-    print("refit, after: replay error on held-out runs in noise floors (1 = nothing left)")
 
 
 @app.command(epilog="Example: omnislip gap measured --out build/measured")

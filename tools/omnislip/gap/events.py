@@ -34,10 +34,15 @@ Array = npt.NDArray[np.float64]
 HORIZON_S = 0.1
 LEAST_RATIO = 60.0
 """g beyond which chance is out of the question (p = 6e-13; rows of an hour: 7e5)."""
-OVER_LEVEL = 8.0
-"""Factor by which g must exceed the 95th percentile of its run."""
-EXPLAINED = 0.5
+OVER_LEVEL = 12.0
+"""Factor by which g must exceed the 80th percentile of its run (4.6 where nothing is wrong)."""
+EXPLAINED = 0.35
 """Share of the squared innovations of the horizon that the jump must take away."""
+LEAST_JUMP_M_S = 0.02
+"""Smaller jumps are what a wheel makes of a seam in the floor."""
+MOST_JUMP_M_S = 2.5
+MOST_MISFIT = 9.0
+"""A jump that leaves errors three times their standard deviation is not what happened."""
 APART_S = 0.3
 CUT_S = 0.05
 """Left out after a push: the contact of the pusher."""
@@ -57,6 +62,17 @@ class Impact:
     impulse: Array
     """(x N s, y N s, theta N m s), world frame"""
     deviation: Array
+    misfit: float = 0.0
+    """Mean square error after the push, in its standard deviations."""
+
+    def jump_m_s(self, machine: Machine) -> float:
+        """Return the jump of a wheel's hub, at most."""
+        speed = float(np.hypot(*self.impulse[:2])) / machine.believed[0]
+        return speed + abs(self.impulse[2]) / machine.believed[1] * machine.believed[3]
+
+    def near(self, other: "Impact") -> bool:
+        """Whether both are the same push."""
+        return self.run == other.run and abs(self.time_s - other.time_s) < APART_S
 
 
 def find_impacts(
@@ -70,12 +86,15 @@ def find_impacts(
         track = track_all(machine, [run], values, noise, keep_linear=True)[0]
         pushes = _Pushes(machine, run, track)
         ratio, jump, explained = pushes.ratios()
-        level = float(np.percentile(ratio, 95))
+        level = float(np.percentile(ratio, 80))
         for peak in _peaks(run.t_s, ratio, max(LEAST_RATIO, OVER_LEVEL * level)):
             if explained[peak] >= EXPLAINED:
                 row = pushes.likeliest_row(peak)
                 before = track.state.reshape(len(run.t_s), -1)[row - 1]
-                impacts.append(_size_up(machine, run, row, values, noise, before, jump[row]))
+                impact = _size_up(machine, run, row, values, noise, before, jump[row])
+                plausible = LEAST_JUMP_M_S <= impact.jump_m_s(machine) <= MOST_JUMP_M_S
+                if plausible and impact.misfit <= MOST_MISFIT:
+                    impacts.append(impact)
     return impacts
 
 
@@ -115,13 +134,14 @@ def _size_up(
         for share in (0.1, 0.3, 0.5, 0.7, 0.9)
     ]
     cost, time_s, jump, covariance = min(fits, key=lambda found: found[0])
-    mass, inertia = machine.believed[0], machine.believed[1]
+    mass = values[0] + values[machine.place("payload", "mass_kg", None)[0]]
+    inertia = values[1] + values[machine.place("inertia_error", "inertia_kg_m2", None)[0]]
     cos, sin = np.cos(before[13]), np.sin(before[13])
     turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
     to_world = np.diag([mass, mass, inertia]) @ turn
     spread = covariance * max(1.0, cost)
     deviation = np.sqrt(np.diag(to_world @ spread @ to_world.T))
-    return Impact(run.name, time_s, to_world @ jump, deviation)
+    return Impact(run.name, time_s, to_world @ jump, deviation, cost)
 
 
 class _After:

@@ -17,7 +17,7 @@ from omnislip.gap.events import Impact, as_effect, find_impacts, known_pushes, p
 from omnislip.gap.gates import check, logged_set_points, too_poor
 from omnislip.gap.inference import prior_penalty
 from omnislip.gap.inverse import relative_force_error
-from omnislip.gap.machine import Machine
+from omnislip.gap.machine import EXTENSIONS, Machine
 from omnislip.gap.metrics import (
     REPEATED,
     Closed,
@@ -27,10 +27,9 @@ from omnislip.gap.metrics import (
     gap_table,
     replay_all,
 )
-from omnislip.gap.noise import Noise, tune_noise
 from omnislip.gap.plan import Separation, separating_manoeuvre
 from omnislip.gap.recordings import ODOMETRY_CHANNELS, Run, machine_for, make_run
-from omnislip.gap.search import Outcome, Selected, search
+from omnislip.gap.search import Outcome, Selected, first_model, search
 from omnislip.gap.where import Map, Place, describe, map_gap
 from omnislip.gap.wiring import find_wiring, mend
 from omnislip.log_file import Log, read_log
@@ -49,9 +48,11 @@ Array = npt.NDArray[np.float64]
 SCHEMA = "omnislip-gap/1"
 RUNS_TO_HOLD_OUT_WHOLE = 5
 SERIES_TO_HOLD_OUT_WHOLE = 3
-UNKNOWN_SHARE = 0.2
+UNKNOWN_SHARE = 0.03
 """A leftover term that gains more than this share of the named effects makes the verdict unknown:
 the names are right in place perhaps, but wrong in shape."""
+REFUSED_GAIN = 200.0
+"""A gain that no chance gives but that other runs refuse: something is there, under no name."""
 EXPLAINED = 0.9
 LEAST_EXCESS = 0.5
 """Excess of the square error, in noise floors, that counts as something left."""
@@ -137,16 +138,25 @@ def find_gap(
         return _insufficient(machine, logs, reason, inputs)
     progress("looking for impacts")
     cuts += known_pushes(model)
-    noise, impacts = _impacts(machine, logs, cuts)
-    pushes = cuts + [(impact.run, impact.time_s) for impact in impacts]
-    split = split_runs(machine, logs, pushes)
-    if not (split.fitting and split.validation and split.held_out):
-        reason = (
-            f"between pushes and gaps too little is left to fit, to check and to hold out: each "
-            f"takes pieces of {LEAST_ROWS} rows ({split.how})"
-        )
-        return _insufficient(machine, logs, reason, inputs)
-    outcome = search(machine, split.fitting, split.validation, noise, progress)
+    runs = [make_run(machine, log, *rows) for log in logs for rows in pieces(log, cuts)]
+    known = split_runs(machine, logs, cuts)
+    if not (known.fitting and known.validation and known.held_out):
+        return _insufficient(machine, logs, _too_cut(known), inputs)
+    noise, values = first_model(machine, [*known.fitting, *known.validation])
+    impacts = find_impacts(machine, runs, values, noise)
+    for _ in range(2):  # again where a push shows only beside the final model
+        pushes = cuts + [(impact.run, impact.time_s) for impact in impacts]
+        split = split_runs(machine, logs, pushes)
+        if not (split.fitting and split.validation and split.held_out):
+            return _insufficient(machine, logs, _too_cut(split), inputs)
+        outcome = search(machine, split.fitting, split.validation, noise, progress)
+        progress("looking for impacts with the final model")
+        values = outcome.final.hypothesis.flat(machine.believed)
+        confirmed = find_impacts(machine, runs, values, outcome.data.noise)
+        fresh = [new for new in confirmed if not any(new.near(old) for old in impacts)]
+        impacts = confirmed
+        if not fresh:
+            break
     if not (outcome.selected or wiring or impacts or outcome.leftover):
         reason = too_poor(machine, outcome.limits)
         if reason:
@@ -194,22 +204,31 @@ def find_gap(
     )
 
 
-def _impacts(
-    machine: Machine, logs: Sequence[Log], cuts: Sequence[tuple[str, float]]
-) -> tuple[Noise, list[Impact]]:
-    """Return the noise that it took to look, and the impacts between the cuts (run, time)."""
-    runs = [make_run(machine, log, *rows) for log in logs for rows in pieces(log, cuts)]
-    noise = tune_noise(machine, runs, machine.believed)
-    return noise, find_impacts(machine, runs, machine.believed, noise)
+def _too_cut(split: Split) -> str:
+    return (
+        f"between pushes and gaps too little is left to fit, to check and to hold out: each "
+        f"takes pieces of {LEAST_ROWS} rows ({split.how})"
+    )
 
 
 def _verdict(outcome: Outcome, table: GapTable, mended: bool) -> str:
     """Name effects only if they explain what is to be explained."""
     named = sum(s.evidence.gain for s in outcome.selected)
     better_term = bool(outcome.leftover) and outcome.leftover[0].gain > UNKNOWN_SHARE * named
-    if better_term or _much_is_left(table):
+    if better_term or _refused(outcome) > max(REFUSED_GAIN, named) or _much_is_left(table):
         return "unknown_effect"
     return "effect_found" if outcome.selected or mended else "no_gap"
+
+
+def _refused(outcome: Outcome) -> float:
+    """Largest gain, beyond chance, of what was refused last because it spoilt the other runs."""
+    last = max((trial.step for trial in outcome.trials), default=0)
+    gains = [
+        trial.evidence.gain / trial.evidence.inflation
+        for trial in outcome.trials
+        if trial.step == last and not trial.accepted and trial.validation_gain <= 0
+    ]
+    return max(gains, default=0.0)
 
 
 def _much_is_left(table: GapTable) -> bool:
@@ -527,19 +546,18 @@ def _effect_json(findings: Findings, selected: Selected) -> dict[str, Any]:
     candidate, evidence = selected.candidate, selected.evidence
     manoeuvre = findings.manoeuvres.get(candidate.name)
     half = CONFIDENCE * np.sqrt(np.diag(evidence.covariance))
-    parameters = {
-        machine.file_parameter(p.label): {
-            "value": float(v),
-            "low": float(v - h),
-            "high": float(v + h),
-        }
+    sizes = [
+        (p.label, {"value": float(v), "low": float(v - h), "high": float(v + h)})
         for p, v, h in zip(candidate.parameters, selected.values, half, strict=True)
         if np.isfinite(v)
-    }
+    ]
+    refines = {label for effect, label in EXTENSIONS if effect == candidate.effect}
+    parameters = {machine.file_parameter(n): size for n, size in sizes if n not in refines}
     return {
         "name": candidate.effect,
         "wheel": candidate.wheel,
         "parameters": parameters,
+        "refinement": {n: size for n, size in sizes if n in refines},
         "ambiguous_with": list(selected.rivals),
         "separating_manoeuvre": manoeuvre.as_json() if manoeuvre else None,
         "evidence": {

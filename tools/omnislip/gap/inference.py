@@ -25,7 +25,7 @@ from scipy.optimize import lsq_linear
 from scipy.stats import chi2
 
 from omnislip.gap.machine import Candidate, Machine, Parameter
-from omnislip.gap.noise import Noise, track_all
+from omnislip.gap.noise import STEP_S, Noise, track_all
 from omnislip.gap.recordings import Run
 
 Array = npt.NDArray[np.float64]
@@ -34,8 +34,11 @@ BLOCK_S = 0.5
 SETTLE_S = 0.25
 BATCH = 64
 STEPS = (1.0, 0.5, 0.2, 0.05)
+FEW_STEPS = (1.0, 0.3)
 SECANT = 0.05
 CONVERGED = 0.05
+WORTH_A_ROUND = 2.0
+"""Gain of Q below which a quick fit ends."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +74,11 @@ class Hypothesis:
         gone = range(first, first + len(self.effects[index].parameters))
         effects = self.effects[:index] + self.effects[index + 1 :]
         return replace(self, effects=effects, x=np.delete(self.x, list(gone)))
+
+    def moved_last(self, index: int) -> "Hypothesis":
+        """Return this model with its effect number `index` named last."""
+        values = self.values_of(index)
+        return self.without(index).with_effect(self.effects[index], values)
 
     def last_two_joined(self) -> "Hypothesis":
         """Return this model with its last two effects, parts of one effect, as one."""
@@ -117,16 +125,21 @@ class Data:
 
     def residuals(self, sets: Array) -> Array:
         """Return whitened residuals (sets, m) of flat parameter sets (sets, parameters)."""
-        parts = []
+        sizes = [int(k.sum()) * self.machine.engine.outputs for k in self._kept]
+        edges = np.concatenate([[0], np.cumsum(sizes)])
+        residuals = np.empty((len(sets), edges[-1]))
         for first in range(0, len(sets), BATCH):
             batch = np.ascontiguousarray(sets[first : first + BATCH])
-            arrays = self.machine.engine.innovations(self.recordings, self.tracks, batch)
-            kept = [
-                a[:, k].reshape(len(batch), -1) for a, k in zip(arrays, self._kept, strict=True)
-            ]
-            parts.append(np.concatenate(kept, axis=1))
-        residuals = np.concatenate(parts) / self.scale
-        return np.nan_to_num(residuals, nan=1e3, posinf=1e3, neginf=-1e3)
+            arrays = self.machine.engine.innovations(
+                self.recordings, self.tracks, batch, step_s=STEP_S
+            )
+            for run, (array, kept) in enumerate(zip(arrays, self._kept, strict=True)):
+                own = array[:, int(np.argmax(kept)) :].reshape(len(batch), -1)
+                residuals[first : first + len(batch), edges[run] : edges[run + 1]] = own
+        residuals /= self.scale
+        if not np.isfinite(residuals.sum()):
+            residuals = np.nan_to_num(residuals, copy=False, nan=1e3, posinf=1e3, neginf=-1e3)
+        return residuals
 
     def per_run(self, residual: Array) -> list[Array]:
         """Split one residual (m,) into runs."""
@@ -187,14 +200,11 @@ def fit(data: Data, hypothesis: Hypothesis, iterations: int = 10) -> Fit:
     for _ in range(iterations):
         residual, jacobian = linearise(data, current)
         z = prior_penalty(current, data.believed, current.x)
-        prior = np.zeros((count, len(scale)))
-        prior[:, :count] = np.eye(count)
-        step = _bounded_step(
-            np.vstack([jacobian, prior]),
-            np.concatenate([residual, z]),
-            (low - current.x) / scale,
-            (high - current.x) / scale,
-        )
+        gram = jacobian.T @ jacobian
+        gram[:count, :count] += np.eye(count)
+        slope = jacobian.T @ residual
+        slope[:count] += z
+        step = _solve_within(gram, slope, (low - current.x) / scale, (high - current.x) / scale)
         trials = np.clip(current.x + np.outer(STEPS, step * scale), low, high)
         costs = objective(data, current, trials)
         pick = int(np.argmin(costs))
@@ -208,12 +218,111 @@ def fit(data: Data, hypothesis: Hypothesis, iterations: int = 10) -> Fit:
     return Fit(current, best, residual, jacobian)
 
 
-def _bounded_step(matrix: Array, residual: Array, low: Array, high: Array) -> Array:
-    """Least-squares step within bounds, through the normal matrix (columns are few)."""
-    gram = matrix.T @ matrix
+def fit_more(
+    data: Data, current: Fit, starts: Sequence[Hypothesis], iterations: int = 6
+) -> list[Fit]:
+    """Fit many models at once that hold one effect more than `current`.
+
+    The derivative by what they share with `current` is taken from there, which costs nothing and
+    ranks them; the fit of a large effect is only near its optimum and `fit` goes on from it.
+    """
+    count = current.jacobian.shape[1]
+    base = len(current.hypothesis.base)
+    shared = current.jacobian.T @ current.jacobian
+    shared[:base, :base] += np.eye(base)
+    models = list(starts)
+    residuals = data.residuals(np.stack([m.flat(data.believed) for m in models]))
+    costs = np.array([_cost(data, m, r) for m, r in zip(models, residuals, strict=True)])
+    columns = _own_columns(data, models, residuals, count)
+    live = set(range(len(models)))
+    for _ in range(iterations):
+        order = sorted(live)
+        trials = []
+        for k in order:
+            step = _shared_step(data, current, shared, models[k], residuals[k], columns[k])
+            trials += [replace(models[k], x=_within(models[k], step * s)) for s in FEW_STEPS]
+        if not trials:
+            break
+        found = data.residuals(np.stack([t.flat(data.believed) for t in trials]))
+        reached = np.array([_cost(data, t, r) for t, r in zip(trials, found, strict=True)])
+        for place, k in enumerate(order):
+            own = slice(place * len(FEW_STEPS), (place + 1) * len(FEW_STEPS))
+            pick = own.start + int(np.argmin(reached[own]))
+            gained = costs[k] - reached[pick]
+            if gained > 0:
+                models[k], costs[k], residuals[k] = trials[pick], reached[pick], found[pick]
+            if gained < WORTH_A_ROUND:
+                live.discard(k)
+        moved = sorted(live)
+        fresh = _own_columns(data, [models[k] for k in moved], residuals[moved], count)
+        for k, own_columns in zip(moved, fresh, strict=True):
+            columns[k] = own_columns
+    return [
+        Fit(m, float(q), r, np.hstack([current.jacobian, c]))
+        for m, q, r, c in zip(models, costs, residuals, columns, strict=True)
+    ]
+
+
+def _cost(data: Data, hypothesis: Hypothesis, residual: Array) -> float:
+    z = prior_penalty(hypothesis, data.believed, hypothesis.x)
+    return float(residual @ residual + z @ z)
+
+
+def _within(hypothesis: Hypothesis, step: Array) -> Array:
+    """Parameters moved by a step in units of their scales, kept within their bounds."""
+    parameters = hypothesis.parameters
+    moved = hypothesis.x + step * np.array([p.scale for p in parameters])
+    return np.clip(moved, [p.low for p in parameters], [p.high for p in parameters])
+
+
+def _own_columns(
+    data: Data, models: Sequence[Hypothesis], residuals: Array, count: int
+) -> list[Array]:
+    """Derivative by the parameters from number `count` on, of each model (m, own)."""
+    points, steps = [], []
+    for model in models:
+        for i, p in enumerate(model.parameters[count:], count):
+            step = SECANT if model.x[i] + SECANT * p.scale <= p.high else -SECANT
+            moved = model.x.copy()
+            moved[i] += step * p.scale
+            points.append(model.flat(data.believed, moved))
+            steps.append(step)
+    if not points:
+        return []
+    found = data.residuals(np.stack(points))
+    result, first = [], 0
+    for model, residual in zip(models, residuals, strict=True):
+        own = range(first, first + len(model.x) - count)
+        result.append(np.stack([(found[i] - residual) / steps[i] for i in own], axis=1))
+        first = own.stop
+    return result
+
+
+def _shared_step(
+    data: Data,
+    current: Fit,
+    shared: Array,
+    model: Hypothesis,
+    residual: Array,
+    own: Array,
+) -> Array:
+    """Bounded Gauss-Newton step of a model, the derivative of the shared parameters given."""
+    cross = current.jacobian.T @ own
+    gram = np.block([[shared, cross], [cross.T, own.T @ own]])
+    slope = np.concatenate([current.jacobian.T @ residual, own.T @ residual])
+    base = len(model.base)
+    slope[:base] += prior_penalty(model, data.believed, model.x)
+    scale = np.array([p.scale for p in model.parameters])
+    low = (np.array([p.low for p in model.parameters]) - model.x) / scale
+    high = (np.array([p.high for p in model.parameters]) - model.x) / scale
+    return _solve_within(gram, slope, low, high)
+
+
+def _solve_within(gram: Array, slope: Array, low: Array, high: Array) -> Array:
+    """Least-squares step within bounds from the normal matrix (columns are few)."""
     ridge = 1e-9 * np.trace(gram) / len(gram)
     factor = np.linalg.cholesky(gram + ridge * np.eye(len(gram))).T
-    target = np.linalg.solve(factor.T, -matrix.T @ residual)
+    target = np.linalg.solve(factor.T, -slope)
     low, high = np.minimum(low, 0.0) - 1e-9, np.maximum(high, 0.0) + 1e-9
     return lsq_linear(factor, target, (low, high), method="bvls").x
 

@@ -5,9 +5,10 @@ the final model every term of a small dictionary (equation x wheel pattern x dep
 function of time f(t); what it would do to the innovations is linear in its size: the error d of the
 prediction obeys
 
-    e_k = -H_k d_k,     d_(k+1) = Phi_k (I - K_k H_k) d_k + f_k dt
+    e_k = -H_k d_k + g_k,     d_(k+1) = Phi_k (d_k + K_k e_k) + f_k dt
 
-with the transition Phi, output slope H and gain K of the filter. Each term is tested like an
+with the transition Phi, output slope H and gain K of the filter; a term g of a sensor is added to
+what it shows. Each term is tested like an
 effect: gain T over what the fitted parameters leave, inflation by block sums, and the gain on
 validation runs. A term that passes says where something is missing and on what it depends, not
 what it is.
@@ -31,6 +32,7 @@ P_VALUE = 1e-6
 """Over all terms. To say that no known effect is the cause takes more than to name one."""
 VALIDATION_SHARE = 0.75
 SLOW_RAD_S = 2.0
+GYRO = 4
 
 
 @dataclass(frozen=True)
@@ -42,6 +44,8 @@ class Term:
     states: tuple[int, ...]
     shape: Callable[[Array, Array, Array, int], Array]
     """(state (rows, n), command (rows, motors), time (rows,), pushed state) -> (rows,)"""
+    outputs: tuple[int, ...] = ()
+    """Sensors that show the term as it is, instead of states that it pushes."""
 
 
 @dataclass(frozen=True)
@@ -66,13 +70,18 @@ def dictionary(machine: Machine) -> list[Term]:
         ]
     if machine.kind == "axis":
         return [Term("axis/force", name, (0,), shape) for name, shape in SHAFT_SHAPES.items()]
+    rubbing = _rubbing_shapes(float(machine.model.values["motor.gear_ratio"]))
     terms = [
         Term(equation, name, states, shape)
         for equation, states in {
             "every wheel/torque": (0, 1, 2, 3),
             **{f"wheel/{i + 1}/torque": (i,) for i in range(4)},
         }.items()
-        for name, shape in SHAFT_SHAPES.items()
+        for name, shape in {**SHAFT_SHAPES, **ANGLE_SHAPES, **rubbing}.items()
+    ]
+    terms += [Term("gyro", name, (), shape, (GYRO,)) for name, shape in GYRO_SHAPES.items()]
+    terms += [
+        Term("every encoder", name, (), shape, (0, 1, 2, 3)) for name, shape in ANGLE_SHAPES.items()
     ]
     terms += [Term("body/moment", name, (10,), shape) for name, shape in YAW_SHAPES.items()]
     for axis, state in (("x", 8), ("y", 9)):
@@ -137,12 +146,12 @@ def _responses(data: Data, run: Run, values: Array, terms: Sequence[Term]) -> Ar
     transition = track.transition.reshape(rows, n, n)
     slope = np.where(np.isnan(run.outputs)[:, :, None], 0.0, track.slope.reshape(rows, m, n))
     gain, whitening = track.gain.reshape(rows, n, m), track.whitening.reshape(rows, m, m)
-    push = _pushes(track.state.reshape(rows, n), run, terms)
+    push, shown_more = _pushes(track.state.reshape(rows, n), run, terms)
     step_s = np.diff(run.t_s)
     error = np.zeros((n, len(terms)))
     response = np.empty((rows, m, len(terms)))
     for k in range(rows):
-        shown = -slope[k] @ error
+        shown = shown_more[k] - slope[k] @ error
         response[k] = whitening[k] @ shown
         if k + 1 < rows:
             error = transition[k] @ (error + gain[k] @ shown) + push[k] * step_s[k]
@@ -150,14 +159,18 @@ def _responses(data: Data, run: Run, values: Array, terms: Sequence[Term]) -> Ar
     return response[kept].reshape(-1, len(terms))
 
 
-def _pushes(state: Array, run: Run, terms: Sequence[Term]) -> Array:
-    """Rates of change that a unit of each term gives to the states (rows, states, terms)."""
+def _pushes(state: Array, run: Run, terms: Sequence[Term]) -> tuple[Array, Array]:
+    """What a unit of each term adds: rates of the states (rows, states, terms), and outputs."""
     push = np.zeros((*state.shape, len(terms)))
+    shown = np.zeros((*run.outputs.shape, len(terms)))
     time_s = run.t_s - run.t_s[0]
     for index, term in enumerate(terms):
         for pushed in term.states:
             push[:, pushed, index] = term.shape(state, run.command, time_s, pushed)
-    return push
+        for output in term.outputs:
+            shown[:, output, index] = term.shape(state, run.command, time_s, output)
+    shown[np.isnan(run.outputs)] = 0.0
+    return push, shown
 
 
 def _shaft(function: Callable[[Array, Array], Array]) -> Callable[..., Array]:
@@ -179,6 +192,37 @@ SHAFT_SHAPES: dict[str, Callable[..., Array]] = {
     ),
     "time and command": lambda x, d, t, i: t * d[:, i],
     "time and speed": lambda x, d, t, i: t * x[:, i],
+}
+
+ANGLE_SHAPES: dict[str, Callable[..., Array]] = {
+    "sine of the shaft angle": lambda x, d, t, i: np.sin(x[:, 4 + i]),
+    "cosine of the shaft angle": lambda x, d, t, i: np.cos(x[:, 4 + i]),
+}
+
+
+def _rubbing_shapes(gear: float) -> dict[str, Callable[..., Array]]:
+    """Friction that changes once per turn of the wheel."""
+    return {
+        f"{name} of the wheel angle, against rotation": lambda x, d, t, i, wave=wave: (
+            wave(x[:, 4 + i] / gear) * np.tanh(x[:, i] / SLOW_RAD_S)
+        )
+        for name, wave in (("sine", np.sin), ("cosine", np.cos))
+    }
+
+
+def _along(time_s: Array, values: Array) -> Array:
+    """Rate of change, smoothed over some rows."""
+    kernel = np.ones(9) / 9
+    return np.convolve(np.gradient(values, time_s), kernel, mode="same")
+
+
+GYRO_SHAPES: dict[str, Callable[..., Array]] = {
+    "acceleration along x": lambda x, d, t, i: _along(t, x[:, 8]) - x[:, 10] * x[:, 9],
+    "acceleration along y": lambda x, d, t, i: _along(t, x[:, 9]) + x[:, 10] * x[:, 8],
+    "speed along x": lambda x, d, t, i: x[:, 8],
+    "speed along y": lambda x, d, t, i: x[:, 9],
+    "yaw rate squared": lambda x, d, t, i: x[:, 10] * np.abs(x[:, 10]),
+    "time": lambda x, d, t, i: t,
 }
 
 YAW_SHAPES: dict[str, Callable[..., Array]] = {

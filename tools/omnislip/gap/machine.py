@@ -5,14 +5,18 @@ parameter of every effect, wheel by wheel. This module knows which place means w
 """
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from omnislip import _core
 from omnislip.model_file import Effect, Model, axis_names
+
+if TYPE_CHECKING:
+    from omnislip.gap.recordings import Run
 
 Array = npt.NDArray[np.float64]
 
@@ -56,6 +60,11 @@ AXIS_COMMAND = 3.0
 PERIODIC_UNIT = "rad"
 NEEDS = {"pendulum_zero_error": "axis.pendulum_mass_kg"}
 """Effects of what a machine may not have, and the key that says it has it."""
+PHASE = "phase_rad"
+POSE_X, LEAST_POSES = 5, 50
+# A size that is infinite when absent (stiffness, limit) is sought up to so many typical ones: a
+# gear ten times stiffer shows in no log and would be integrated in tiny steps.
+MOST_OF_ABSENT = 10.0
 
 
 @dataclass(frozen=True)
@@ -136,6 +145,22 @@ class Machine:
             if entry["name"] not in NEEDS or NEEDS[entry["name"]] in self.model.values:
                 found += [self._candidate(entry, wheel) for wheel in wheels]
         return [candidate for candidate in found if self._has_starts(candidate)]
+
+    def floor_candidates(self, runs: Sequence["Run"]) -> list[Candidate]:
+        """Return what depends on the place, with starts from the places that the pose shows."""
+        if self.kind != "robot":
+            return []
+        x_m = np.concatenate([run.outputs[:, POSE_X] for run in runs])
+        x_m = x_m[~np.isnan(x_m)]
+        if x_m.size < LEAST_POSES:
+            return []
+        edges = [x_m.min() - 0.1, *np.percentile(x_m, (15, 30, 45, 60, 75, 90)), x_m.max() + 0.1]
+        spans = [(a, b) for i, a in enumerate(edges) for b in edges[i + 1 :]]
+        labels = ("x_min_m", "x_max_m", "scale")
+        entries = {p["name"]: p for p in self.catalogue["slippery_patch"]["parameters"]}
+        parameters = [self._effect_parameter("slippery_patch", entries[n], None) for n in labels]
+        starts = tuple({0: float(a), 1: float(b)} for a, b in spans if b - a < edges[-1] - edges[0])
+        return [Candidate("slippery_patch", None, tuple(parameters), (2,), starts)]
 
     def extensions(self, effect: str) -> list[Candidate]:
         """Return what refines an effect that is already in the model: not an effect of its own."""
@@ -267,7 +292,7 @@ class Machine:
         parameters = [self._effect_parameter(entry["name"], p, wheel) for p in own]
         sizes = [i for i, p in enumerate(own) if p["typical"] != 0]
         shapes = {i: p for i, p in enumerate(own) if p["typical"] == 0}
-        starts = _shape_starts(entry["name"], shapes)
+        starts = _shape_starts(entry["name"], {**shapes, **_infinite(own)})
         return Candidate(entry["name"], wheel, tuple(parameters), tuple(sizes), starts)
 
     def _effect_parameter(self, effect: str, entry: dict, wheel: int | None) -> Parameter:
@@ -278,10 +303,14 @@ class Machine:
         else:
             scale = abs(entry["typical"])
         places = self.place(effect, entry["name"], wheel)
-        low = entry["low"]
+        low, high = entry["low"], entry["high"]
         if self.kind == "axis" and entry["name"] == "limit_a":
             low = 0.01 * scale  # the catalogue's bound is in ampere
-        return Parameter(entry["name"], places, scale, low, entry["high"])
+        if not math.isfinite(entry["neutral"]) and entry["typical"] != 0:
+            high = min(high, MOST_OF_ABSENT * scale)
+        if entry["name"] == PHASE:  # a fit may go on past half a turn
+            low, high = 2.0 * low, 2.0 * high
+        return Parameter(entry["name"], places, scale, low, high)
 
     def _has_starts(self, candidate: Candidate) -> bool:
         """Whether every shaping parameter has a value to start from; a floor patch has none."""
@@ -305,6 +334,15 @@ class Machine:
         return sizes.get(parameter, abs(typical))
 
 
+def _infinite(parameters: Sequence[dict]) -> dict[int, dict]:
+    """Sizes that are infinite when absent: a step from there has no slope, so they have starts."""
+    return {
+        i: p
+        for i, p in enumerate(parameters)
+        if p["typical"] != 0 and not math.isfinite(p["neutral"])
+    }
+
+
 def _shape_scale(parameter: dict) -> float:
     if parameter["unit"] == PERIODIC_UNIT:
         return 0.3
@@ -323,6 +361,8 @@ SHAPE_GRIDS = {
     ("roller_ripple", "rollers"): tuple(float(n) for n in range(6, 25)),
     ("grip_falloff", "speed_m_s"): (0.1, 0.3, 0.9),
     ("encoder_dropout", "speed_rad_s"): (50.0, 100.0, 150.0, 200.0, 300.0),
+    ("current_limit", "limit_a"): (2.5, 5.0, 9.0, 15.0),
+    ("shaft_compliance", "stiffness_nm_rad"): (30.0, 100.0, 300.0),
     ("cogging", "phase_rad"): (0.0, math.pi / 2),
     ("wheel_eccentricity", "phase_rad"): (0.0, math.pi / 2),
 }

@@ -113,12 +113,13 @@ def robot_channels(machine: Machine) -> tuple[str, ...]:
 
 
 def unwrap_counts(counts: Array) -> Array:
-    """Return cumulative counts from counts that may wrap at 16 bit, starting at 0.
+    """Return cumulative counts from counts that may wrap at 16 bit, from the first count on.
 
-    Right as long as a wheel moves less than 32768 counts from row to row.
+    Right as long as a wheel moves less than 32768 counts from row to row. The first count stays: it
+    is the angle of the shaft, and cogging or eccentricity have the same phase in every run.
     """
     step = (np.diff(counts) + 32768) % 65536 - 32768
-    return np.concatenate([[0.0], np.cumsum(step)])
+    return counts[0] + np.concatenate([[0.0], np.cumsum(step)])
 
 
 def _robot_signals(
@@ -128,7 +129,8 @@ def _robot_signals(
     blank = np.full(len(t_s), np.nan)
     command = np.stack([columns[f"wheel/{w}/duty"] for w in range(1, 5)], axis=1)
     rad_per_count = 2 * np.pi / float(machine.model.values["encoder.counts_per_rev"])
-    angles = [unwrap_counts(columns[name]) * rad_per_count for name in ROBOT_CHANNELS[:4]]
+    counts = [unwrap_counts(log.columns[name])[rows] for name in ROBOT_CHANNELS[:4]]
+    angles = [count * rad_per_count for count in counts]
     others = [columns.get(name, blank) for name in ROBOT_CHANNELS[4:]]
     others[3] = _unwrap_sampled(others[3])
     electric = [

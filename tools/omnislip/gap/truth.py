@@ -107,9 +107,8 @@ PROCESS_NOISE_SD = np.array([1.5, 1.5, 0.1, 1.5e-3, 1.5e-3, 1.5e-3, 1.5e-3])
 POSE_NOISE_SD = np.array([0.75e-3, 0.75e-3, 2e-3])  # m, m, rad
 SUPPLY_NOISE_SD_V = 0.05
 CURRENT_NOISE_SD_A = 0.1
-ROW_TICKS = 50  # 5 ms
 _JITTER_SD_TICKS = 3.0
-_CAMERA_ROWS = 4
+_CAMERA_S = 0.02
 
 # Wheel-speed controller: duty per rad/s, duty per rad; the feed-forward is the believed back-EMF.
 _PROPORTIONAL = 0.006
@@ -125,7 +124,8 @@ class TruthCase:
 
     effects: dicts {"name", "parameters", optional "wheel" 1..4, "run" "run_01"}. friction_curve:
     atan, tanh, brush. excitation: rich, ordinary, poor. sensors: of gyro, pose, supply, current.
-    noise_level scales process and sensor noise, 0 is off. Raises InputError for anything else.
+    noise_level scales process and sensor noise, 0 is off; row_s is the time between rows, disorder
+    scales their jitter and losses. Raises InputError for anything else.
     """
 
     seed: int
@@ -138,6 +138,8 @@ class TruthCase:
     run_duration_s: float = 6.0
     noise_level: float = 1.0
     base_offset_sd: float = 0.02
+    row_s: float = 0.005
+    disorder: float = 1.0
 
     def __post_init__(self) -> None:
         """Check every field."""
@@ -149,6 +151,8 @@ class TruthCase:
         _check_range("run_duration_s", self.run_duration_s, 1.0, 600.0)
         _check_range("noise_level", self.noise_level, 0.0, 100.0)
         _check_range("base_offset_sd", self.base_offset_sd, 0.0, 0.3)
+        _check_range("row_s", self.row_s, 0.001, 0.05)
+        _check_range("disorder", self.disorder, 0.0, 10.0)
         for effect in self.hidden():
             if effect.run is not None:
                 _check_choice(f"effect {effect.name}: run", effect.run, self.run_names())
@@ -247,6 +251,8 @@ def _truth(case: TruthCase, parameters: Mapping[str, float]) -> dict[str, Any]:
         "run_duration_s": case.run_duration_s,
         "noise_level": case.noise_level,
         "base_offset_sd": case.base_offset_sd,
+        "row_s": case.row_s,
+        "disorder": case.disorder,
     }
 
 
@@ -280,22 +286,25 @@ def coloured_noise(rng: np.random.Generator, rows: int) -> Array:
     return level * PROCESS_NOISE_SD
 
 
-def row_ticks(rng: np.random.Generator, ticks: int) -> NDArray[np.int64]:
-    """Ticks (0.1 ms) of the rows: nominal 5 ms, jitter 0.3 ms, 0.1 to 1 % of the rows lost."""
-    nominal = np.arange(0, ticks - ROW_TICKS, ROW_TICKS)
-    jitter = np.clip(np.rint(rng.normal(0.0, _JITTER_SD_TICKS, nominal.size)), -20, 20)
-    sampled = nominal + jitter.astype(np.int64)
+def row_ticks(
+    rng: np.random.Generator, ticks: int, nominal_ticks: int = 50, disorder: float = 1.0
+) -> NDArray[np.int64]:
+    """Ticks (0.1 ms) of the rows: nominal distance, jitter 0.3 ms, 0.1 to 1 % of the rows lost."""
+    nominal = np.arange(0, ticks - nominal_ticks, nominal_ticks)
+    most = int(0.4 * nominal_ticks)
+    jitter = rng.normal(0.0, _JITTER_SD_TICKS * disorder, nominal.size)
+    sampled = nominal + np.clip(np.rint(jitter), -most, most).astype(np.int64)
     sampled[0] = 0
-    kept = rng.random(nominal.size) >= rng.uniform(0.001, 0.01)
+    kept = rng.random(nominal.size) >= disorder * rng.uniform(0.001, 0.01)
     kept[0] = True
     return sampled[kept]
 
 
-def mean_duty(duty: Array, sampled: NDArray[np.int64]) -> Array:
-    """Mean of duty (n, 4) per ms from each row to the next; last row: over the nominal 5 ms."""
+def mean_duty(duty: Array, sampled: NDArray[np.int64], nominal_ticks: int = 50) -> Array:
+    """Mean of duty (n, 4) per ms from each row to the next; last row: over the nominal time."""
     fine = np.repeat(duty, plant_model.TICKS_PER_MS, axis=0)
     total = np.vstack([np.zeros(4), np.cumsum(fine, axis=0)])
-    edges = np.append(sampled, min(sampled[-1] + ROW_TICKS, len(fine)))
+    edges = np.append(sampled, min(sampled[-1] + nominal_ticks, len(fine)))
     return np.diff(total[edges], axis=0) / np.diff(edges)[:, None]
 
 
@@ -313,10 +322,11 @@ def _sample(
     duty: Array,
     rng: np.random.Generator,
 ) -> pd.DataFrame:
-    sampled = row_ticks(rng, len(history) - 1)
+    nominal_ticks = round(case.row_s / plant_model.STEP_S)
+    sampled = row_ticks(rng, len(history) - 1, nominal_ticks, case.disorder)
     rows = history[sampled]
     t_s = sampled * plant_model.STEP_S
-    applied = mean_duty(duty, sampled)
+    applied = mean_duty(duty, sampled, nominal_ticks)
     counts = encoder_counts(plant, rows[:, plant_model.ENCODER_ANGLE])
     columns: dict[str, Any] = {"t_s": np.round(t_s, 4)}
     for i in range(4):
@@ -325,7 +335,7 @@ def _sample(
         columns[f"wheel/{i + 1}/encoder_counts"] = counts[:, i]
     measured = {
         "gyro": _gyro(rng, case.noise_level, rows),
-        "pose": _pose(rng, case.noise_level, plant, history, t_s),
+        "pose": _pose(rng, case, plant, history, t_s),
         "supply": _supply(rng, case.noise_level, rows),
         "current": _currents(rng, case.noise_level, rows),
     }
@@ -342,25 +352,29 @@ def _gyro(rng: np.random.Generator, level: float, rows: Array) -> dict[str, Arra
 
 
 def _pose(
-    rng: np.random.Generator, level: float, plant: NDArray[np.void], history: Array, t_s: Array
+    rng: np.random.Generator,
+    case: TruthCase,
+    plant: NDArray[np.void],
+    history: Array,
+    t_s: Array,
 ) -> dict[str, Array]:
     """Camera near 50 Hz: row t shows the pose of t / (1 + skew) - delay, turned by the angle."""
-    seen = _camera_rows(rng, len(t_s))
+    seen = _camera_rows(rng, len(t_s), max(1, round(_CAMERA_S / case.row_s)))
     shown_s = t_s[seen] / (1.0 + plant["clock_skew"][0]) - plant["pose_delay_s"][0]
     ticks_s = np.arange(len(history)) * plant_model.STEP_S
     pose = np.stack([np.interp(shown_s, ticks_s, history[:, k]) for k in range(3)], axis=1)
     cos_a, sin_a = np.cos(plant["pose_rotation_rad"][0]), np.sin(plant["pose_rotation_rad"][0])
     pose[:, :2] = pose[:, :2] @ np.array([[cos_a, sin_a], [-sin_a, cos_a]])
-    pose += level * POSE_NOISE_SD * rng.standard_normal(pose.shape)
+    pose += case.noise_level * POSE_NOISE_SD * rng.standard_normal(pose.shape)
     table = np.full((len(t_s), 3), np.nan)
     table[seen] = np.round(pose, 6)
     names = ("pose/x_m", "pose/y_m", "pose/theta_rad")
     return {name: table[:, k] for k, name in enumerate(names)}
 
 
-def _camera_rows(rng: np.random.Generator, rows: int) -> NDArray[np.int64]:
-    """Rows with a pose: every fourth, one row early or late at random; the first row always."""
-    nominal = np.arange(0, rows, _CAMERA_ROWS)
+def _camera_rows(rng: np.random.Generator, rows: int, every: int = 4) -> NDArray[np.int64]:
+    """Rows with a pose: every few, one row early or late at random; the first row always."""
+    nominal = np.arange(0, rows, every)
     seen = np.clip(nominal + rng.integers(-1, 2, nominal.size), 0, rows - 1)
     seen[0] = 0
     return np.unique(seen)
