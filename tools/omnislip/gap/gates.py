@@ -15,6 +15,7 @@ from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import median_filter
 
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import first_guess, track_all
@@ -38,6 +39,8 @@ GRID_S = 0.01
 WINDOW_S = 0.2
 ALIKE = 0.9
 """Correlation of two sensors from which on their scale and lag can be judged."""
+SAME_SHAPE = 0.99
+"""Correlation that only a shift in time leaves between wheels and a body that may slip."""
 PLAUSIBLE_SCALE = {
     "gyro/z_rad_s": (0.3, 3.0),
     "pose/theta_rad": (0.15, 4.0),
@@ -51,9 +54,12 @@ UNITS = {
 }
 STEP_M, STEP_M_S = 0.05, 1.0
 TURN_RAD, TURN_RAD_S = 0.15, 2.0
-"""Disagreement of pose and wheels from picture to picture that slip can explain: offset, rate."""
+"""How far a picture may be from where its neighbours' motion puts it: offset, rate."""
+NEIGHBOURS = 7
+"""Pictures whose median motion counts: one that is false spoils two of six steps."""
 MOST_JUMPS = 0.05
 STILL_S = 0.3
+MOST_TURN_RAD = 0.5
 BLIND_DUTY = 0.15
 OTHER_TRAVEL, OTHER_SPEED = 0.06, 0.15
 """Share by which travel per turn and speed per duty may differ between logs of one robot."""
@@ -89,7 +95,7 @@ def check(machine: Machine, logs: Sequence[Log]) -> Checked:
             return Checked(list(logs), cuts, f"{log.name}: {complaint}")
     mended = []
     for log in logs:
-        better, jumps, often = _without_jumps(machine, log)
+        better, jumps, often = _without_jumps(log)
         if often:
             complaint = f"{log.name}: the pose jumps again and again, first at {often:.2f} s"
             return Checked(list(logs), cuts, complaint)
@@ -291,7 +297,9 @@ def _clipped_gyro(machine: Machine, log: Log) -> str | None:
     return None
 
 
-def _windows(machine: Machine, log: Log, name: str) -> tuple[Array, Array]:
+def _windows(
+    machine: Machine, log: Log, name: str, rolling_only: bool = False
+) -> tuple[Array, Array]:
     """Way of wheels and of a pose column over windows of 0.2 s, where the wheels move at all."""
     rows = _sampled(log, name)
     if rows.size < 10:
@@ -307,7 +315,38 @@ def _windows(machine: Machine, log: Log, name: str) -> tuple[Array, Array]:
         wheels = np.hypot(*(travel[stride:, :2] - travel[:-stride, :2]).T)
         shown = np.hypot(*(place[stride:] - place[:-stride]).T)
     moving = np.abs(wheels) > (0.05 if name == "pose/theta_rad" else 0.03)
+    if rolling_only:
+        moving &= _rolling(machine, log, rows, stride)
     return wheels[moving], shown[moving]
+
+
+def _rolling(
+    machine: Machine, log: Log, rows: npt.NDArray[np.intp], stride: int
+) -> npt.NDArray[np.bool_]:
+    """Windows in which the wheels hardly slide: steady, nothing in the null space, nearly straight.
+
+    While wheels pull the body or work against each other, their way says little about the body's;
+    and the chord of a turn is shorter than its way.
+    """
+    travel = _wheel_travel_m(machine, log)[rows]
+    way = travel[stride:] - travel[:-stride]
+    half = travel[stride // 2 : len(travel) - stride + stride // 2] - travel[:-stride]
+    jacobian = wheel_jacobian(machine)
+    body = way @ np.linalg.pinv(jacobian).T
+    most = np.abs(way).max(axis=1)
+    uneven = np.abs(half - way * (stride // 2 / stride)).max(axis=1)
+    inner = np.abs(way - body @ jacobian.T).max(axis=1)
+    pose = np.stack([log.columns[c][rows] for c in POSE_COLUMNS], axis=1)
+    whole = _turned(pose[stride:] - pose[:-stride])
+    first = _turned(pose[stride // 2 : len(pose) - stride + stride // 2] - pose[:-stride])
+    uneven_body = np.abs(first - whole * (stride // 2 / stride))
+    pulled = uneven_body > 0.03 * np.abs(whole) + np.array([3e-3, 3e-3, 5e-3])
+    return (
+        (uneven < 0.03 * most)
+        & (inner < 0.02 * most)
+        & (np.abs(body[:, 2]) < MOST_TURN_RAD)
+        & ~pulled.any(axis=1)
+    )
 
 
 def _wrong_scale(machine: Machine, log: Log) -> str | None:
@@ -390,18 +429,20 @@ def _speed_per_duty(machine: Machine, log: Log) -> Array:
 def _late(machine: Machine, log: Log) -> str | None:
     """Gyro or camera late, or early, by more than an effect of the sensor can describe.
 
-    The camera's heading is compared with the gyro: between wheels and body lies the slip, which
-    looks like a lag.
+    The camera's heading is compared with the gyro: between wheels and body lies the slip, and a
+    body that is pulled by sliding wheels is late, by tenths of a second where the motors are far
+    stronger than the grip. Only without a camera are the wheels asked, and then a gyro has to be
+    early, which no slip does, or late without any change of shape, which slip does not do either.
     """
     rates = _turn_rates(machine, log)
     if rates is None or rates[1].std() < 0.1:
         return None
     grid, wheels, gyro = rates
-    lag_s, alike = _lag_s(wheels, gyro)
-    if alike > ALIKE and abs(lag_s) > LATE_S:
-        return f"gyro/z_rad_s is {_words(lag_s)} against the encoders"
     camera = _camera_turn_rate(log, grid)
     if camera is None:
+        lag_s, alike = _lag_s(wheels, gyro)
+        if alike > (ALIKE if lag_s < 0 else SAME_SHAPE) and abs(lag_s) > LATE_S:
+            return f"gyro/z_rad_s is {_words(lag_s)} against the encoders"
         return None
     inside = ~np.isnan(camera)
     gyro, camera = gyro[inside], camera[inside]
@@ -438,27 +479,36 @@ def _camera_turn_rate(log: Log, grid: Array) -> Array | None:
     return np.convolve(np.gradient(shown, GRID_S), np.ones(5) / 5, "same")
 
 
-def _without_jumps(machine: Machine, log: Log) -> tuple[Log, list[float], float | None]:
+def _turned(change: Array) -> Array:
+    """Changes of a pose (..., 3) with the turn brought into (-pi, pi]."""
+    change = change.copy()
+    change[..., 2] = (change[..., 2] + np.pi) % (2 * np.pi) - np.pi
+    return change
+
+
+def _without_jumps(log: Log) -> tuple[Log, list[float], float | None]:
     """Blank single false poses; times where the pose goes on from another place.
 
-    The third is the time of the first jump when there are too many.
+    A picture is compared with the median motion of its neighbours: the wheels may slide, but a
+    body changes its speed only as fast as its grip allows. The third is the time of the first jump
+    when there are too many.
     """
     if not all(name in log.columns for name in POSE_COLUMNS):
         return log, [], None
     rows = np.flatnonzero(~np.isnan([log.columns[c] for c in POSE_COLUMNS]).any(axis=0))
     if rows.size < 10:
         return log, [], None
-    travel, t_s = _body_travel(machine, log)[rows], log.t_s[rows]
-    pose = np.stack([log.columns[c][rows] for c in POSE_COLUMNS], axis=1)
+    t_s, pose = log.t_s[rows], np.stack([log.columns[c][rows] for c in POSE_COLUMNS], axis=1)
+    steps = _turned(np.diff(pose, axis=0)) / np.diff(t_s)[:, None]
+    rate = median_filter(np.vstack([steps[:1], steps]), size=(NEIGHBOURS, 1), mode="nearest")
 
     def jumps(last: int, now: int) -> bool:
         dt_s = t_s[now] - t_s[last]
-        way = travel[now] - travel[last]
-        middle = pose[last, 2] + way[2] / 2
-        turn = np.array([[np.cos(middle), -np.sin(middle)], [np.sin(middle), np.cos(middle)]])
-        place = np.hypot(*(pose[now, :2] - pose[last, :2] - turn @ way[:2]))
-        heading = abs((pose[now, 2] - pose[last, 2] - way[2] + np.pi) % (2 * np.pi) - np.pi)
-        return bool(place > STEP_M + STEP_M_S * dt_s or heading > TURN_RAD + TURN_RAD_S * dt_s)
+        off = np.abs(_turned(pose[now] - pose[last] - rate[now] * dt_s))
+        return bool(
+            np.hypot(off[0], off[1]) > STEP_M + STEP_M_S * dt_s
+            or off[2] > TURN_RAD + TURN_RAD_S * dt_s
+        )
 
     last, false, cuts, first = 0, [], [], None
     for now in range(1, len(rows)):
@@ -516,12 +566,12 @@ def _error_of_median(values: Array) -> float:
 
 
 def _travel_ratio(machine: Machine, log: Log) -> Array:
-    wheels, shown = _windows(machine, log, "pose/x_m")
+    wheels, shown = _windows(machine, log, "pose/x_m", rolling_only=True)
     return shown / wheels
 
 
 def _turn_ratio(machine: Machine, log: Log) -> Array:
-    wheels, shown = _windows(machine, log, "pose/theta_rad")
+    wheels, shown = _windows(machine, log, "pose/theta_rad", rolling_only=True)
     turned = (shown + np.pi) % (2 * np.pi) - np.pi
     return turned / wheels
 
