@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <chrono>
+#include <stdexcept>
 
 #include "axis_plant.h"
 #include "closed_loop.h"
@@ -41,12 +42,25 @@ double plant_step_ns(const Plant &plant, const double *duty) {
     return least_ns([&] { advance(plant, x, commands, time_s, kStep_s, kStep_s, rate_1_s, in); });
 }
 
-void turning_counts(void *context, std::uint16_t counts[4]) {
-    auto *tick = static_cast<std::uint16_t *>(context);
-    *tick = static_cast<std::uint16_t>(*tick + 40);
-    std::fill_n(counts, 4, *tick);
+/* Shafts that follow their duty with a lag: just enough for the firmware to hold a speed. */
+struct Shafts {
+    double counts[4], counts_per_tick[4];
+};
+void turn_shafts(void *context, std::uint16_t counts[4]) {
+    auto &shafts = *static_cast<Shafts *>(context);
+    for (int i = 0; i < 4; ++i) {
+        shafts.counts[i] += shafts.counts_per_tick[i];
+        counts[i] = static_cast<std::uint16_t>(static_cast<std::int64_t>(shafts.counts[i]));
+    }
 }
-void ignore_duty(void *, const std::int16_t *) {}
+void drive_shafts(void *context, const std::int16_t duty_q15[4]) {
+    constexpr double kNoLoad = 300.0; /* counts per tick: 24 V / 0.0255 V s of 2000 counts */
+    auto &shafts = *static_cast<Shafts *>(context);
+    for (int i = 0; i < 4; ++i) {
+        const double settled = kNoLoad * duty_q15[i] / 32768.0;
+        shafts.counts_per_tick[i] += 0.05 * (settled - shafts.counts_per_tick[i]);
+    }
+}
 void no_currents(void *, std::int16_t current_ma[4]) {
     std::fill_n(current_ma, 4, static_cast<std::int16_t>(0));
 }
@@ -93,11 +107,11 @@ double axis_step_ns() {
 
 double firmware_tick_ns(const std::vector<std::int32_t> &firmware) {
     const parameters settings = to_settings(firmware);
-    std::uint16_t tick = 0;
+    Shafts shafts = {};
     hal_host_plant hal = {};
-    hal.context = &tick;
-    hal.read_encoder_counts = turning_counts;
-    hal.write_duty = ignore_duty;
+    hal.context = &shafts;
+    hal.read_encoder_counts = turn_shafts;
+    hal.write_duty = drive_shafts;
     hal.read_supply_mv = full_supply;
     hal.read_currents_ma = no_currents;
     hal_host_attach(&hal);
@@ -110,6 +124,8 @@ double firmware_tick_ns(const std::vector<std::int32_t> &firmware) {
         control_loop_tick(&loop);
     });
     hal_host_attach(nullptr);
+    if (loop.telemetry.mode != CONTROL_MODE_VELOCITY)
+        throw std::runtime_error("the firmware stopped while its tick was measured");
     return spent_ns;
 }
 

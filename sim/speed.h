@@ -14,7 +14,8 @@ double rigid_step_ns(const std::vector<double> &values);
 double slip_step_ns(const std::vector<double> &values);
 /* The nominal axis. */
 double axis_step_ns();
-/* Nanoseconds per control tick that follows a velocity command, counters turning evenly. */
+/* Nanoseconds per control tick that follows a velocity command with simple shafts; throws
+ * std::runtime_error when the firmware stops. */
 double firmware_tick_ns(const std::vector<std::int32_t> &firmware);
 
 }  // namespace omnislip

@@ -108,7 +108,7 @@ def _closed_loops(firmware_ns: float) -> Table:
             scenario = replace(
                 read_scenario(SCENARIOS / f"{name}.toml"), slip_compensation=compensation
             )
-            refined = simulate_truth(scenario, REFINED_STEP_S)["pose"]
+            refined = simulate_truth(scenario, step_s=REFINED_STEP_S)["pose"]
             for step_s in (PLANT_STEP_S, PLANT_STEP_S / 2):
                 table.add_row(*_closed_loop(scenario, step_s, refined, firmware_ns))
     return table
@@ -117,13 +117,15 @@ def _closed_loops(firmware_ns: float) -> Table:
 def _closed_loop(
     scenario: Scenario, step_s: float, refined: Array, firmware_ns: float
 ) -> Iterator[str]:
-    spent = best_time_s(lambda: simulate_truth(scenario, step_s))
-    apart_m = np.abs(simulate_truth(scenario, step_s)["pose"] - refined)[:, :2].max()
+    spent = best_time_s(lambda: simulate_truth(scenario, step_s=step_s))
+    apart_m = np.abs(simulate_truth(scenario, step_s=step_s)["pose"] - refined)[:, :2].max()
     yield scenario.name
     yield "used" if scenario.slip_compensation else "not used"
     yield f"{1e3 * step_s:g} ms"
     yield f"{scenario.duration_s / spent:,.0f}"
-    yield f"{firmware_ns * 1e-9 * scenario.duration_s * 1e3 / spent:.0%}"
+    # Under given duties most of the firmware rests: its cost of following commands says nothing.
+    follows = any(command["kind"] in ("velocity", "pose") for command in scenario.commands)
+    yield f"{firmware_ns * 1e-6 * scenario.duration_s / spent:.0%}" if follows else "-"
     yield f"{1e3 * apart_m:.4f} mm"
 
 
@@ -170,8 +172,6 @@ def _beside_mujoco(slip_step_ns: float) -> Table:
     truth = simulate_truth(scenario)
     duty = truth["duty"].reshape(-1, 5, 4).mean(axis=1)
     reference = _plant_path(duty, 2e-5)
-    own = _plant_path(duty, PLANT_STEP_S)
-    plant_speed = PLANT_STEP_S * 1e9 / slip_step_ns
     spent = best_time_s(lambda: _mujoco_path(duty, MUJOCO_STEP_S))
     mujoco_speed = scenario.duration_s / spent
     coarse = _mujoco_path(duty, MUJOCO_STEP_S)
@@ -184,13 +184,15 @@ def _beside_mujoco(slip_step_ns: float) -> Table:
         "off its own refined run",
         "off the plant's refined run",
     )
-    for name, step, speed, apart, off in (
-        ("omnislip", "0.5 ms", plant_speed, own - reference, own - reference),
-        ("MuJoCo", "1 ms", mujoco_speed, coarse - fine, coarse - reference),
-    ):
-        millimetres = [f"{1e3 * np.linalg.norm(a, axis=1).max():.2g} mm" for a in (apart, off)]
-        table.add_row(name, step, f"{speed:,.0f}", *millimetres)
-    table.caption = f"ratio of the speeds: {plant_speed / mujoco_speed:.0f}"
+    rows = [("MuJoCo", MUJOCO_STEP_S, mujoco_speed, coarse - fine, coarse - reference)]
+    for step_s in (PLANT_STEP_S, MUJOCO_STEP_S):
+        own = _plant_path(duty, step_s) - reference
+        rows.insert(0, ("omnislip", step_s, step_s * 1e9 / slip_step_ns, own, own))
+    for name, step_s, speed, *errors in rows:
+        millimetres = [f"{1e3 * np.linalg.norm(e, axis=1).max():.2g} mm" for e in errors]
+        table.add_row(name, f"{1e3 * step_s:g} ms", f"{speed:,.0f}", *millimetres)
+    ratio = MUJOCO_STEP_S * 1e9 / slip_step_ns / mujoco_speed
+    table.caption = f"at steps of 1 ms {ratio:.0f} times as fast as MuJoCo"
     return table
 
 
