@@ -219,6 +219,8 @@ def test_quotients_of_a_batch_are_the_derivatives_by_every_effect(kind):
     wrong = {}
     for name, parameter, place in effect_parameters(kind):
         values = parameter_set(kind, BASE[kind], typical[name])
+        if (kind, name) == ("axis", "current_limit"):
+            values[place] = 0.2  # a torque there, and the command asks for more
         error, slope = worst_slope_error(kind, values, [place], [abs(parameter["typical"]) / 3.0])
         if slope[0] < 1e-9 or (error[0] > 2e-3 and name not in CORNERS):
             wrong[name, parameter["name"]] = error[0], slope[0]
