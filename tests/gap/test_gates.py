@@ -15,7 +15,7 @@ from omnislip.gap.truth import TruthCase, write_case
 from omnislip.gap.truth_effects import typical_effect
 from omnislip.log_file import Log, read_log, write_log
 from omnislip.model_file import NOMINAL_ROBOT, read_model, write_model
-from omnislip.scenario import Scenario, Sensors
+from omnislip.scenario import Scenario, Sensors, read_scenario
 from omnislip.simulate import make_log, simulate_truth
 
 MODEL = read_model(NOMINAL_ROBOT)
@@ -76,6 +76,10 @@ def later(log, names, delay_s, skew=0.0):
     return replace(log, columns=columns)
 
 
+def without(log, names):
+    return replace(log, columns={n: v for n, v in log.columns.items() if n not in names})
+
+
 def frozen(log, names, begin_s, end_s):
     columns = dict(log.columns)
     for name in names:
@@ -109,8 +113,12 @@ MISTAKES = {
     "heading in degrees": (in_degrees, "degrees"),
     "heading upside down": (lambda g: times(g, POSE[2:], -1.0), "sign reversed"),
     "counts of quadrature": (lambda g: times(g, COUNTS, 4.0), "counts_per_rev"),
-    "gyro late": (lambda g: later(g, ["gyro/z_rad_s"], 0.2), "early against the gyro"),
-    "gyro early": (lambda g: later(g, ["gyro/z_rad_s"], -0.2), "late against the gyro"),
+    "gyro late": (lambda g: later(g, ["gyro/z_rad_s"], 0.2), "gyro/z_rad_s is 0.2"),
+    "gyro early": (lambda g: later(g, ["gyro/z_rad_s"], -0.2), "early against the encoders"),
+    "gyro late, no camera": (
+        lambda g: without(later(g, ["gyro/z_rad_s"], 0.3), POSE),
+        "gyro/z_rad_s is 0.3",
+    ),
     "camera late": (lambda g: later(g, POSE, 0.3), "the pose is 0.3"),
     "camera clock fast": (lambda g: later(g, POSE, 0.0, 0.04), "clocks apart by"),
     "counter of 12 bit": (lambda g: wrapped(g, 12), "wrap at 12 bit"),
@@ -173,6 +181,13 @@ def test_what_an_effect_can_say_is_no_mistake(name, wheel, tmp_path):
     checked = check(machine, logs)
     assert (checked.complaint, checked.cuts) == (None, [])
     assert logged_set_points(machine, logs) is None
+
+
+def test_hard_slip_is_no_late_sensor():
+    """Duty steps beyond the grip: the body turns a tenth of a second after the wheels."""
+    scenario = read_scenario(NOMINAL_ROBOT.parents[1] / "scenarios" / "identification.toml")
+    checked = check(MACHINE, [make_log(scenario, simulate_truth(scenario))])
+    assert (checked.complaint, checked.cuts) == (None, [])
 
 
 # ---- gaps and jumps ----

@@ -34,19 +34,20 @@ GAP_S = 0.1
 """Rows may be missing; from here on the log is cut."""
 LATE_S = 0.08
 """Lags up to here are found as effects of the sensors, with a size."""
+SLIP_LATE_S = 0.25
+"""The body may follow slipping wheels as late as this."""
 MOST_LAG_S = 0.6
 GRID_S = 0.01
 WINDOW_S = 0.2
 ALIKE = 0.9
 """Correlation of two sensors from which on their scale and lag can be judged."""
-SAME_SHAPE = 0.99
-"""Correlation that only a shift in time leaves between wheels and a body that may slip."""
 PLAUSIBLE_SCALE = {
     "gyro/z_rad_s": (0.3, 3.0),
     "pose/theta_rad": (0.15, 4.0),
     "pose/x_m": (0.15, 4.0),
 }
 """Factor between sensor and wheels; hard slip makes the body's share of the wheels' way small."""
+WHEELS = "against the encoders"
 UNITS = {
     "gyro/z_rad_s": {180 / np.pi: "degrees per second", 1e3: "thousandths of rad/s"},
     "pose/theta_rad": {180 / np.pi: "degrees", 1e3: "thousandths of rad"},
@@ -429,23 +430,25 @@ def _speed_per_duty(machine: Machine, log: Log) -> Array:
 def _late(machine: Machine, log: Log) -> str | None:
     """Gyro or camera late, or early, by more than an effect of the sensor can describe.
 
-    The camera's heading is compared with the gyro: between wheels and body lies the slip, and a
-    body that is pulled by sliding wheels is late, by tenths of a second where the motors are far
-    stronger than the grip. Only without a camera are the wheels asked, and then a gyro has to be
-    early, which no slip does, or late without any change of shape, which slip does not do either.
+    Slip makes the body follow the wheels late: between wheels and body only a large lag counts.
+    Gyro and camera both see the body; where they disagree, the wheels tell which of them is off.
     """
     rates = _turn_rates(machine, log)
     if rates is None or rates[1].std() < 0.1:
         return None
     grid, wheels, gyro = rates
+    lag_s, alike = _lag_s(wheels, gyro)
     camera = _camera_turn_rate(log, grid)
     if camera is None:
-        lag_s, alike = _lag_s(wheels, gyro)
-        if alike > (ALIKE if lag_s < 0 else SAME_SHAPE) and abs(lag_s) > LATE_S:
-            return f"gyro/z_rad_s is {_words(lag_s)} against the encoders"
-        return None
+        late = lag_s > SLIP_LATE_S or lag_s < -LATE_S
+        return f"gyro/z_rad_s is {_words(lag_s)} {WHEELS}" if alike > ALIKE and late else None
     inside = ~np.isnan(camera)
-    gyro, camera = gyro[inside], camera[inside]
+    wheels, gyro, camera = wheels[inside], gyro[inside], camera[inside]
+    between_s, alike = _lag_s(gyro, camera)
+    if alike > ALIKE and abs(between_s) > LATE_S:
+        own_s, others_s = lag_s, _lag_s(wheels, camera)[0]
+        if abs(own_s) > abs(others_s):
+            return f"gyro/z_rad_s is {_words(own_s)} {WHEELS}"
     third = len(gyro) // 3
     parts = [
         _lag_s(gyro[k * third : (k + 1) * third], camera[k * third : (k + 1) * third])
@@ -459,9 +462,8 @@ def _late(machine: Machine, log: Log) -> str | None:
             f"the pose is {_words(clear[0][1])} against the gyro at first and "
             f"{_words(clear[-1][1])} later: clocks apart by {100 * abs(share):.1f} %"
         )
-    lag_s, alike = _lag_s(gyro, camera)
-    if alike > ALIKE and abs(lag_s) > LATE_S:
-        return f"the pose is {_words(lag_s)} against the gyro"
+    if alike > ALIKE and abs(between_s) > LATE_S:
+        return f"the pose is {_words(between_s)} against the gyro"
     return None
 
 
