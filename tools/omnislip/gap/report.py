@@ -39,6 +39,8 @@ CHANNELS = {
     "pose/theta_rad": ("heading", "rad"),
     "pose/forward_m": ("position along the robot", "m"),
     "pose/lateral_m": ("position across the robot", "m"),
+    "supply/voltage_v": ("bus voltage", "V"),
+    **{f"wheel/{w}/current_a": (f"current {w}", "A") for w in range(1, 5)},
     "axis/position_m": ("position", "m"),
     "axis/position_rad": ("angle", "rad"),
 }
