@@ -20,6 +20,7 @@ from omnislip.gap.inference import Evidence, Fit, Hypothesis
 from omnislip.gap.leftover import Leftover
 from omnislip.gap.machine import Machine
 from omnislip.gap.metrics import Closed, GapTable, Left, Replays
+from omnislip.gap.plan import Manoeuvre, Separation
 from omnislip.gap.recordings import ROBOT_CHANNELS, Run
 from omnislip.gap.report import HEADLINES, format_number, render
 from omnislip.gap.search import Outcome, Selected, Trial
@@ -55,6 +56,9 @@ def replays_of(run, sizes=(3.0, 2.0, 1.1)):
     errors = rng.normal(size=(3, *run.outputs.shape)) * np.reshape(sizes, (3, 1, 1))
     errors[:, np.isnan(run.outputs)] = np.nan
     return Replays(run, errors, np.ones(run.outputs.shape), run.t_s >= 0.25)
+
+
+TWIST = Separation(Manoeuvre("twist", "wheels against each other", 3.8, []), 432.1, 0.0)
 
 
 def findings_of(machine, verdict, effects=(), rivals=()):
@@ -120,6 +124,7 @@ def findings_of(machine, verdict, effects=(), rivals=()):
         table=table,
         steps=steps,
         replays=[replays_of(held)],
+        manoeuvres={e.name: TWIST for e in effects} if rivals else {},
         inputs={"robot.toml": "ab" * 32, "run_01.csv": "cd" * 32},
     )
 
@@ -148,6 +153,7 @@ def insufficient(machine):
         table=None,
         steps=[],
         replays=[],
+        manoeuvres={},
         inputs={"robot.toml": "ab" * 32},
     )
 
@@ -318,6 +324,8 @@ def test_rivals_make_the_name_uncertain(machines):
     rivals = ("weak_motor (wheel 3)",)
     findings = findings_of(machine, "effect_found", machine.candidates()[:1], rivals)
     text = Page(render(findings, COMMAND_LINE)).text
+    assert 'drive "twist" (4 s' in text
+    assert "expected separation 432" in text
     assert "its name is not certain" in text
     assert "weak_motor (wheel 3) : " + machine.catalogue["weak_motor"]["summary"] in text
 
