@@ -96,8 +96,9 @@ def test_one_current_is_enough_and_the_rest_counts_as_not_sampled():
 
 def test_a_constant_that_stands_in_for_a_measurement_is_none():
     log = driven(MODEL, 200)
-    flat = {name: np.full(len(log.t_s), 24.0) for name in ELECTRIC_CHANNELS}
-    assert not machine_for(MODEL, [replace(log, columns=log.columns | flat)]).electric
+    for value in (24.0, np.nan):
+        flat = {name: np.full(len(log.t_s), value) for name in ELECTRIC_CHANNELS}
+        assert not machine_for(MODEL, [replace(log, columns=log.columns | flat)]).electric
 
 
 def test_a_reversed_motor_turns_its_current_too():

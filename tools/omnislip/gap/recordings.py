@@ -104,7 +104,8 @@ def machine_for(model: Model, logs: Sequence[Log]) -> Machine:
 
 def _varies(values: Array | None) -> bool:
     """Whether a column is there and no constant that stands in for a measurement."""
-    return values is not None and bool(np.nanmin(values) < np.nanmax(values))
+    sampled = values[~np.isnan(values)] if values is not None else np.empty(0)
+    return sampled.size > 1 and bool(sampled.min() < sampled.max())
 
 
 def robot_channels(machine: Machine) -> tuple[str, ...]:
