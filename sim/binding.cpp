@@ -14,6 +14,7 @@
 #include <string>
 
 #include "axis_plant.h"
+#include "binding.h"
 #include "closed_loop.h"
 #include "integrator.h"
 #include "odometry_plant.h"
@@ -330,8 +331,6 @@ class Engine {
 
 /* ------------------------------------------------------------------ firmware in the loop */
 
-using Numbers = std::map<std::string, double>;
-
 int base_index(const std::string &name) {
     for (int i = 0; i < RobotLayout::kBase; ++i) {
         if (name == kRobotBase[i].name)
@@ -515,8 +514,7 @@ nb::dict simulate(const Numbers &parameters, const nb::list &effects,
     for (nb::handle impulse : impulses) {
         impulse_list.push_back(to_impulse(nb::cast<nb::dict>(impulse)));
     }
-    const std::vector<UserTerm> terms = to_user_terms(user_effects, RobotLayout::kMotors);
-    const std::vector<double> values = robot_values(parameters, effects, terms, user_effects);
+    const RobotParameters model = robot_parameters(parameters, effects, user_effects);
     const std::vector<std::int32_t> firmware = firmware_values(firmware_parameters);
     const BoardSensors sensors =
         to_sensors(encoder_start_counts, supply_error_v, supply_resolution_v, duration_s);
@@ -524,8 +522,8 @@ nb::dict simulate(const Numbers &parameters, const nb::list &effects,
     {
         nb::gil_scoped_release release;
         log =
-            run_closed_loop(values, firmware, command_list, impulse_list, duration_s, step_s,
-                            sensors, on_board ? Carrier::kBoard : Carrier::kPlant, list_of(terms));
+            run_closed_loop(model.values, firmware, command_list, impulse_list, duration_s, step_s,
+                            sensors, on_board ? Carrier::kBoard : Carrier::kPlant, model.list());
     }
     const std::size_t n = log.time_s.size();
     nb::dict result;
@@ -601,6 +599,15 @@ void bind_replay(nb::module_ &m) {
 }
 
 }  // namespace
+
+RobotParameters robot_parameters(const Numbers &parameters, const nb::list &effects,
+                                 const nb::list &user_effects) {
+    RobotParameters result;
+    result.terms = to_user_terms(user_effects, RobotLayout::kMotors);
+    result.values = robot_values(parameters, effects, result.terms, user_effects);
+    return result;
+}
+
 }  // namespace omnislip
 
 NB_MODULE(_core, m) {
@@ -618,4 +625,5 @@ NB_MODULE(_core, m) {
           "firmware_parameters"_a,
           "Nanoseconds per step of 0.5 ms of each model and per control tick of the firmware.");
     omnislip::bind_replay(m);
+    omnislip::bind_link(m);
 }

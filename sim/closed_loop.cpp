@@ -9,8 +9,7 @@
 #include "board/on_board.h"
 #include "firmware/control_loop.h"
 #include "hal/host/hal_host.h"
-#include "integrator.h"
-#include "robot_plant.h"
+#include "robot_body.h"
 
 namespace omnislip {
 namespace {
@@ -21,198 +20,18 @@ const char *const kParameterNames[] = {
 };
 #undef PARAMETER
 
-/* The plant as the board sees it: counters, supply, bridges. */
-class Robot {
-  public:
-    Robot(const std::vector<double> &values, const UserTermList &terms,
-          const std::vector<Impulse> &impulses, double step_s, const BoardSensors &sensors)
-        : values_(values), pending_(impulses), sensors_(sensors), step_s_(step_s) {
-        bool active[kEffectCount];
-        mark_active<RobotPlant<double>>(values_.data(), 1, static_cast<int>(values_.size()),
-                                        active);
-        plant_.prepare(values_.data(), active, terms);
-        rate_1_s_ = plant_.fastest_rate_1_s();
-        require_rate(rate_1_s_);
-        rad_per_count_ = 2.0 * kPi / values_[RobotLayout::kBase - 1];
-        hold_duty(-kTick_s);
-        settle(plant_, x_, duty_, 0.0, in_);
-        refresh(0.0);
-        measure_supply(0);
-    }
-
-    void counts(std::uint16_t *out) const {
-        const std::array<double, 4> shaft = shaft_counts();
-        for (std::size_t i = 0; i < 4; ++i)
-            out[i] = static_cast<std::uint16_t>(static_cast<std::int64_t>(std::floor(shaft[i])));
-    }
-
-    std::array<double, 4> shaft_counts() const {
-        std::array<double, 4> shaft;
-        for (int i = 0; i < 4; ++i)
-            shaft[static_cast<std::size_t>(i)] =
-                x_[RobotLayout::kAngle + i] / rad_per_count_ + sensors_.encoder_start_counts[i];
-        return shaft;
-    }
-
-    /* What the converter shows in this tick. */
-    void measure_supply(std::size_t tick) {
-        supply_error_v_ = sensors_.supply_error_v.empty() ? 0.0 : sensors_.supply_error_v[tick];
-        const double step_v = sensors_.supply_resolution_v;
-        const double shown_v = std::round(supply_pin_v() / step_v) * step_v;
-        supply_mv_ = static_cast<std::uint16_t>(std::clamp(std::lround(shown_v * 1e3), 0L, 65535L));
-    }
-    std::uint16_t supply_mv() const {
-        return supply_mv_;
-    }
-
-    void set_duty(const std::int16_t *duty_q15) {
-        for (int i = 0; i < 4; ++i)
-            duty_[i] = duty_q15[i] / 32768.0;
-    }
-
-    void set_duty(const double *duty) {
-        std::copy_n(duty, 4, duty_);
-    }
-
-    /* The duty holds from now on; all of them are kept because a late driver still acts on them. */
-    void hold_duty(double time_s) {
-        times_s_.push_back(time_s);
-        duties_.insert(duties_.end(), duty_, duty_ + 4);
-        looked_ = false;
-        if (times_s_.size() > 2 && jumps<RobotPlant<double>>(&duties_[duties_.size() - 4]))
-            jump_s_ = time_s;
-    }
-
-    /* An impulse that falls into the time acts at its own instant: acting at a tick, it would come
-     * a whole tick later if the robot were a hair late. */
-    void run(double time_s, double duration_s) {
-        double done_s = 0.0;
-        while (!pending_.empty()) {
-            double before[RobotLayout::kAll];
-            std::copy_n(x_, RobotLayout::kAll, before);
-            integrate(time_s + done_s, duration_s - done_s);
-            double instant_s = kUnbounded;
-            std::size_t next = 0;
-            for (std::size_t i = 0; i < pending_.size(); ++i) {
-                const double own_s =
-                    instant(pending_[i], time_s, done_s, duration_s, before[RobotLayout::kPose]);
-                if (own_s < instant_s) {
-                    instant_s = own_s;
-                    next = i;
-                }
-            }
-            if (instant_s == kUnbounded)
-                return;
-            std::copy_n(before, RobotLayout::kAll, x_);
-            integrate(time_s + done_s, instant_s - done_s);
-            push(pending_[next]);
-            pending_.erase(pending_.begin() + static_cast<long>(next));
-            done_s = instant_s;
-        }
-        integrate(time_s + done_s, duration_s - done_s);
-    }
-
-    /* Currents, slip and forces at the present state and duty. */
-    void refresh(double time_s) {
-        double command[4];
-        commands()(time_s, time_s, command);
-        look(plant_, x_, command, time_s, dx_, in_);
-        looked_ = !plant_.remembers() && !plant_.delays();
-        plant_.output(x_, time_s, sensed_);
-    }
-
-    const double *state() const {
-        return x_;
-    }
-    const double *current_a() const {
-        return in_.current_a;
-    }
-    /* What the board's converter is given. */
-    double supply_pin_v() const {
-        return in_.bus_v + supply_error_v_;
-    }
-    const double *sensed() const {
-        return sensed_;
-    }
-    const RobotInternals<double> &internals() const {
-        return in_;
-    }
-
-  private:
-    void push(const Impulse &impulse) {
-        const auto &c = plant_.constants();
-        const double theta = x_[RobotLayout::kPose + 2];
-        const double cos_theta = std::cos(theta), sin_theta = std::sin(theta);
-        const double jx = cos_theta * impulse.x_n_s + sin_theta * impulse.y_n_s;
-        const double jy = cos_theta * impulse.y_n_s - sin_theta * impulse.x_n_s;
-        const double turn = impulse.theta_n_m_s / c.inertia_kg_m2;
-        double *v = x_ + RobotLayout::kVelocity;
-        v[0] += jx / c.mass_kg + turn * c.cog_y_m;
-        v[1] += jy / c.mass_kg - turn * c.cog_x_m;
-        v[2] += turn;
-    }
-
-    void integrate(double time_s, double duration_s) {
-        /* LoggedCommands::step_s without looking back, so that a replay takes the same steps */
-        const bool jumped = jump_s_ > times_s_.back() - kJumpSettles_s;
-        const double step_s = jumped ? std::min(step_s_, kJumpStep_s) : step_s_;
-        advance(plant_, x_, commands(), time_s, duration_s, step_s, rate_1_s_, in_,
-                looked_ ? dx_ : nullptr);
-        looked_ = false;
-    }
-
-    /* Time after `time_s` at which the impulse is due, without bound if it is not; x ran from
-     * x_begin at done_s to what it is at the end of the duration. */
-    double instant(const Impulse &impulse, double time_s, double done_s, double duration_s,
-                   double x_begin) const {
-        const double x_end = x_[RobotLayout::kPose];
-        if (!impulse.at_x) {
-            const double after_s = std::max(impulse.trigger - time_s, done_s);
-            return after_s < duration_s ? after_s : kUnbounded;
-        }
-        if ((x_begin < impulse.trigger) == (x_end < impulse.trigger))
-            return kUnbounded;
-        const double share = (impulse.trigger - x_begin) / (x_end - x_begin);
-        return done_s + share * (duration_s - done_s);
-    }
-
-    LoggedCommands<RobotPlant<double>> commands() const {
-        return {plant_, times_s_.data(), duties_.data(), static_cast<long>(times_s_.size()) - 1};
-    }
-
-    std::vector<double> values_, times_s_, duties_;
-    std::vector<Impulse> pending_;
-    const BoardSensors &sensors_;
-    double supply_error_v_ = 0.0;
-    std::uint16_t supply_mv_ = 0;
-    double step_s_;
-    RobotPlant<double> plant_;
-    double x_[RobotLayout::kAll] = {};
-    double dx_[RobotLayout::kAll] = {};
-    bool looked_ = false; /* dx_ is the derivative with which the next step begins */
-    double jump_s_ = 0.0; /* time of the last jump of the duty; the begin is one */
-    double duty_[4] = {};
-    double sensed_[RobotLayout::kOutputs] = {};
-    RobotInternals<double> in_ = {};
-    double rate_1_s_ = 0.0, rad_per_count_ = 0.0;
-};
-
 void read_counts(void *context, std::uint16_t counts[4]) {
-    static_cast<const Robot *>(context)->counts(counts);
+    static_cast<const RobotBody *>(context)->counts(counts);
 }
 void write_duty(void *context, const std::int16_t duty_q15[4]) {
-    static_cast<Robot *>(context)->set_duty(duty_q15);
+    static_cast<RobotBody *>(context)->set_duty(duty_q15);
 }
 std::uint16_t read_supply(void *context) {
-    return static_cast<const Robot *>(context)->supply_mv();
+    return static_cast<const RobotBody *>(context)->supply_mv();
 }
 
 void read_currents(void *context, std::int16_t current_ma[4]) {
-    const double *current_a = static_cast<const Robot *>(context)->internals().current_a;
-    for (int i = 0; i < 4; ++i) {
-        current_ma[i] =
-            static_cast<std::int16_t>(std::clamp(std::lround(current_a[i] * 1e3), -32768L, 32767L));
-    }
+    static_cast<const RobotBody *>(context)->currents_ma(current_ma);
 }
 
 i16 to_i16(double value, const char *what) {
@@ -288,7 +107,7 @@ void put_row(std::vector<T> &table, std::size_t tick, const T *row, std::size_t 
     std::copy_n(row, count, table.data() + tick * count);
 }
 
-void record_robot(ClosedLoopLog &log, std::size_t tick, const Robot &robot) {
+void record_robot(ClosedLoopLog &log, std::size_t tick, const RobotBody &robot) {
     const double *x = robot.state();
     const RobotInternals<double> &in = robot.internals();
     log.time_s[tick] = static_cast<double>(tick) * kTick_s;
@@ -351,7 +170,7 @@ ClosedLoopLog run_closed_loop(const std::vector<double> &values,
                               double step_s, const BoardSensors &sensors, Carrier carrier,
                               const UserTermList &terms) {
     const parameters settings = to_settings(firmware);
-    Robot robot(values, terms, impulses, step_s, sensors);
+    RobotBody robot(values, terms, impulses, step_s, sensors);
     hal_host_plant hal = {};
     hal.context = &robot;
     hal.read_encoder_counts = read_counts;
@@ -359,9 +178,9 @@ ClosedLoopLog run_closed_loop(const std::vector<double> &values,
     hal.read_supply_mv = read_supply;
     hal.read_currents_ma = read_currents;
     hal_host_attach(&hal);
-    std::unique_ptr<OnBoard<Robot>> board;
+    std::unique_ptr<OnBoard<RobotBody>> board;
     if (carrier == Carrier::kBoard) {
-        board = std::make_unique<OnBoard<Robot>>(robot);
+        board = std::make_unique<OnBoard<RobotBody>>(robot);
         board->wait_for_tick(-kTick_s);
     }
     control_loop loop;

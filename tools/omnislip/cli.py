@@ -1,11 +1,13 @@
 """The command `omnislip`.
 
 Results go to stdout, progress of work over two seconds to stderr. Exit status: 0 when the work was
-done, 2 for bad input, with one line that says what to mend.
+done, 2 for bad input, with one line that says what to mend, 3 when a robot does not do what it was
+asked.
 """
 
 import json
 import math
+import signal
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -25,10 +27,11 @@ from rich.progress import (
 )
 from rich.table import Table
 
-from omnislip.errors import InputError
+from omnislip.errors import InputError, RobotError
 from omnislip.gap.commands import app as gap_app
 from omnislip.gap.commands import check_folder
 from omnislip.importers import data_folder
+from omnislip.link.commands import app as link_app
 
 if TYPE_CHECKING:  # the command line starts without pandas
     from omnislip.log_file import Log
@@ -47,6 +50,7 @@ import_app = typer.Typer(
 )
 app.add_typer(import_app, name="import")
 app.add_typer(gap_app, name="gap")
+app.add_typer(link_app, name="link")
 
 Item = TypeVar("Item")
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
@@ -207,6 +211,68 @@ def figures(
     print(f"in {out}: figures.json")
 
 
+@app.command(epilog="Example: omnislip robot --robot robot.toml --port-link build/robot")
+def robot(
+    robot: Annotated[
+        Path | None, typer.Option(help="Model file, with effects; default: the nominal robot.")
+    ] = None,
+    port_link: Annotated[
+        Path | None, typer.Option(help="Link that points to the robot's port while it runs.")
+    ] = None,
+    store: Annotated[
+        Path | None, typer.Option(help="File of the EEPROM; default: blank, kept nowhere.")
+    ] = None,
+) -> None:
+    """Run the virtual robot in real time, its serial port on a pseudo-terminal, to Ctrl-C.
+
+    Its firmware believes what its EEPROM says, or the nominal robot: omnislip link PORT set --robot
+    FILE --save gives it another belief.
+    """
+    from omnislip.model_file import NOMINAL_ROBOT, read_model
+    from omnislip.virtual_robot import make_robot, port_link_to, pseudo_terminal, read_store, serve
+
+    words = read_store(store) if store is not None else []
+    virtual = make_robot(read_model(robot or NOMINAL_ROBOT), words)
+    with pseudo_terminal() as (master, port), port_link_to(port, port_link), _stop_signals():
+        print(f"robot at {port_link or port}", flush=True)
+        try:
+            serve(virtual, master, store, _say_late)
+        except KeyboardInterrupt:
+            x_m, y_m, theta_rad = virtual.truth["pose"]
+            print(
+                f"after {virtual.ticks / 1000:.1f} s at x {x_m:.3f} m, y {y_m:.3f} m, "
+                f"theta {theta_rad:.3f} rad"
+            )
+
+
+@app.command(epilog="Example: omnislip flash monitor.out --port /dev/ttyUSB0")
+def flash(
+    image: Annotated[Path, typer.Argument(help="Program: TI COFF (.out) or Intel HEX (.hex).")],
+    port: Annotated[
+        str | None, typer.Option(help="Serial port of the chip; without, the image is checked.")
+    ] = None,
+    reset_by: Annotated[
+        str | None, typer.Option(help="rts or dtr: that line resets the chip; else by hand.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Check a program for the LF2407A; load one for RAM through the chip's boot ROM, start it.
+
+    The chip must be reset with BOOT_EN low, before the transfer and after one that has failed.
+    """
+    from omnislip.flash.commands import load_ram, read_image, show_image
+
+    if reset_by not in (None, "rts", "dtr"):
+        raise InputError(f"--reset-by must be rts or dtr, not {reset_by}")
+    program = read_image(image)
+    if as_json:
+        _print_json(program.as_dict())
+    else:
+        show_image(program)
+    if port is not None:
+        load_ram(program, port, reset_by)
+
+
 Data = Annotated[
     Path | None,
     typer.Option(help="Folder of data sets; default $OMNISLIP_DATA, else ../shared/data."),
@@ -258,12 +324,29 @@ def _print_files(paths: list[Path], as_json: bool) -> None:
 
 
 def main() -> None:
-    """Run the command line; bad input ends with one line on stderr and exit status 2."""
+    """Run the command line; an error ends with one line on stderr and exit status 2 or 3."""
     try:
         app()
     except InputError as error:
         print(f"omnislip: error: {error}", file=sys.stderr)
         sys.exit(2)
+    except RobotError as error:
+        print(f"omnislip: error: {error}", file=sys.stderr)
+        sys.exit(3)
+
+
+@contextmanager
+def _stop_signals() -> Iterator[None]:
+    """Take a request to end for a Ctrl-C, so that what has to be tidied up is."""
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _say_late(late_s: float) -> None:
+    print(f"the machine is too slow: {late_s:.1f} s left out", file=sys.stderr)
 
 
 def _check_written_log(path: Path) -> None:

@@ -1,0 +1,1 @@
+"""Programs for the LF2407A: what is in a file, where it goes, and the way into the chip."""
