@@ -248,7 +248,9 @@ def clear_fault(context: typer.Context) -> None:
 def _session(context: typer.Context) -> Iterator[Session]:
     line = SerialLine(context.obj)
     try:
-        yield Session(line)
+        session = Session(line)
+        yield session
+        session.close()
     finally:
         line.close()
 

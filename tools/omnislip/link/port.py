@@ -3,6 +3,7 @@
 A line is anything with these three methods; `omnislip.virtual_robot.VirtualLine` is another one.
 """
 
+import os
 import time
 from typing import Protocol
 
@@ -41,7 +42,8 @@ class SerialLine:
             self._port.reset_input_buffer()
         except (OSError, ValueError) as error:
             there = ", ".join(found.device for found in list_ports.comports()) or "none found"
-            reason = getattr(error, "strerror", None) or str(error)
+            number = getattr(error, "errno", None)
+            reason = os.strerror(number) if number else str(error)
             raise InputError(
                 f"{port}: cannot be opened as a serial port: {reason}; ports: {there}"
             ) from None

@@ -109,7 +109,7 @@ def make_log(
     logged: dict[str, npt.NDArray[np.float64]] = {}
     for wheel in WHEELS:
         sums = np.diff(_unwrapped(columns[f"duty_sum_{wheel}_q15"], 32))
-        logged[f"wheel/{wheel}/duty"] = np.clip(sums / np.diff(time_ms) / 2**15, -1.0, 1.0)
+        logged[f"wheel/{wheel}/duty"] = sums / np.diff(time_ms) / 2**15
         logged[f"wheel/{wheel}/encoder_counts"] = columns[f"counts_{wheel}"][:-1].astype(float)
     logged["supply/voltage_v"] = columns["supply_mv"][:-1] / 1000
     currents_ma = np.stack([columns[f"current_{wheel}_ma"][:-1] for wheel in WHEELS])

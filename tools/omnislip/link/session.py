@@ -184,6 +184,11 @@ class Session:
         self._streams.pop(stream, None)
         self.request("stream", stream=stream, period_ms=0)
 
+    def close(self) -> None:
+        """End all streams of ours."""
+        for stream in list(self._streams):
+            self.close_stream(stream)
+
     def watch_status(self) -> Status:
         """Keep `status` up to date from now on; return the present one."""
         self.status = None
