@@ -32,8 +32,12 @@ def test_the_line_is_as_bad_as_meant(figures):
     assert figures["robot"]["bad_frames"] > 0
 
 
-def test_no_frame_is_valid_that_was_not_sent(figures):
-    assert figures["frames_to_robot"][2] == figures["frames_from_robot"][2] == 0
+def test_no_frame_is_valid_that_was_not_sent(fast, real_time):
+    """Damage passes the CRC with about 2^-16; what is damaged in real time is not repeatable."""
+    assert fast["frames_to_robot"][2] == fast["frames_from_robot"][2] == 0
+    broken = real_time["frames_from_robot"][0] - real_time["frames_from_robot"][1]
+    assert 0 < broken < 1000  # two that pass are then as unlikely as 1 in 8000
+    assert real_time["frames_to_robot"][2] + real_time["frames_from_robot"][2] <= 1
 
 
 def test_the_robot_holds_only_commands_that_were_offered_in_their_order(figures):

@@ -131,6 +131,25 @@ def test_any_valid_content_is_read_without_an_exception(content):
     decode_message(content)
 
 
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        bytes([1, 0x80, 0]),
+        bytes([1, 0x80, 0, 0x77, 0]),  # an answer to no request
+        bytes([1, 0x80, 0, 0x18, 99]),  # no such result
+        bytes([1, 0x80, 0, 0x18, 0, 0]),  # a field too many
+        bytes([1, 0x80, 0, 0x02, 0, 0]),  # half a field
+        bytes([1, 0x81, 0, 0x77]),  # no such event
+        bytes([1, 0x81, 0, 2, 0, 0, 0, 0, 99, 0, 0]),  # no such state
+        bytes([1, 0x93, 0]),  # no such stream
+        bytes([1, 0x18, 0]),  # a request
+    ],
+)
+def test_what_no_robot_says_is_no_message(content):
+    assert decode_message(content) is None
+
+
 def test_noise_without_end_is_not_kept():
     reader = FrameReader()
     for _ in range(1000):

@@ -143,6 +143,16 @@ def test_too_little_for_a_log():
         recorder.finish("run")
 
 
+def test_a_frame_whose_time_and_sequence_disagree_is_not_taken():
+    """Damage passes the CRC once in 2^16 times."""
+    recorder = Recorder(session(), 200)
+    sequences, rows = frames(20)
+    for k, (sequence, row) in enumerate(zip(sequences.tolist(), rows.tolist(), strict=True)):
+        spoilt = [row[0] ^ (1 << 20 if k == 7 else 0), *row[1:]]
+        recorder._take(sequence + 40 * (k == 12), dict(zip(SIGNALS, spoilt, strict=True)))
+    assert recorder.rows == 18
+
+
 def test_a_robot_that_starts_anew_ends_the_recording():
     line = VirtualLine(robot())
     talk = session(line)

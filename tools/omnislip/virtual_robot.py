@@ -30,12 +30,15 @@ GIVE_UP_S = 1.0
 def make_robot(model: Model, store: list[int] | None = None) -> _core.VirtualRobot:
     """Return a robot just switched on. `store`: words of its EEPROM, default blank.
 
-    InputError when the model is not one of a robot.
+    InputError when the model is not one of a robot, or too stiff to be integrated.
     """
     if model.kind != "robot":
         raise InputError(f"{model.path}: model.kind is '{model.kind}', a 'robot' is needed")
     parameters, effects = model.to_core()
-    return _core.VirtualRobot(parameters, effects, store or [])
+    try:
+        return _core.VirtualRobot(parameters, effects, store or [], model.own_effects)
+    except ValueError as error:
+        raise InputError(f"{model.path}: {error}") from None
 
 
 class VirtualLine:

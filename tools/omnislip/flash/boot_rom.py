@@ -12,11 +12,12 @@ LF2407A does as its predecessor are from memory or inferred: never tried on a ch
 One wrong or missing echo and the image in the chip cannot be trusted. The chip cannot be told: it
 counts bytes until it has n words, whatever they are, then it branches. So after a wrong echo not a
 byte more is sent before the chip has been reset, by a line of the port or by hand. The last byte
-has no echo to wait for, since the chip may already run; a word FFFFh behind the image keeps that
-byte out of the program.
+starts the program, and its echo may be lost in that; a word FFFFh behind the image keeps it out of
+the program.
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from omnislip.errors import InputError, RobotError
 from omnislip.flash.image import ERASED, Image
@@ -38,8 +39,16 @@ class WrongEcho(RobotError):  # noqa: N818 - what happened, not a defect
     """What came back is not what was sent."""
 
 
-def load(line: Line, image: Image, reset: Callable[[], None], tell: Tell) -> int:
-    """Load and start a RAM image; return the number of attempts it took.
+@dataclass(frozen=True)
+class Loaded:
+    """An image that stands in the chip; `confirmed`: its last byte came back, so it was started."""
+
+    attempts: int
+    confirmed: bool
+
+
+def load(line: Line, image: Image, reset: Callable[[], None], tell: Tell) -> Loaded:
+    """Load and start a RAM image.
 
     `reset` resets the chip into its boot ROM, before each attempt. InputError when the image is not
     one for RAM; RobotError when the chip does not answer, or after ATTEMPTS.
@@ -49,11 +58,9 @@ def load(line: Line, image: Image, reset: Callable[[], None], tell: Tell) -> int
         reset()
         try:
             _synchronise(line)
-            _transfer(line, data, tell)
+            return Loaded(attempt, _transfer(line, data, tell))
         except WrongEcho as wrong:
             tell(f"attempt {attempt} of {ATTEMPTS}: {wrong}")
-            continue
-        return attempt
     raise RobotError(f"{image.path}: not loaded: {ATTEMPTS} attempts each met a wrong echo")
 
 
@@ -93,6 +100,8 @@ def _synchronise(line: Line) -> None:
         came = line.read(SYNC_PERIOD_S)
         if came.endswith(ACKNOWLEDGE):
             break
+        if came.endswith(SYNC):
+            raise WrongEcho("the chip echoes though its acknowledgement has not come back")
     else:
         heard = f"; the last that came was {came.hex(' ')}" if came else ""
         raise RobotError(f"the boot ROM has not answered for {SYNC_TIME_S:g} s{heard}")
@@ -100,7 +109,8 @@ def _synchronise(line: Line) -> None:
         raise WrongEcho(f"after its acknowledgement the chip sent {late.hex(' ')}")
 
 
-def _transfer(line: Line, data: bytes, tell: Tell) -> None:
+def _transfer(line: Line, data: bytes, tell: Tell) -> bool:
+    """Send an image; return whether the last byte has come back too."""
     for sent, byte in enumerate(data[:-1]):
         line.write(bytes([byte]))
         echo = line.read(ECHO_TIMEOUT_S)
@@ -110,3 +120,4 @@ def _transfer(line: Line, data: bytes, tell: Tell) -> None:
         if sent % 64 == 0:
             tell(f"{sent} of {len(data)} bytes")
     line.write(data[-1:])
+    return line.read(ECHO_TIMEOUT_S)[:1] == data[-1:]

@@ -68,9 +68,13 @@ def load_ram(image: Image, port: str, reset_line: str | None) -> None:
         status.start()
 
     try:
-        attempts = boot_rom.load(line, image, reset, tell)
+        loaded = boot_rom.load(line, image, reset, tell)
     finally:
         status.stop()
         line.close()
     words = sum(len(block.words) for block in image.blocks)
-    print(f"{words} words loaded and started" + (f" in attempt {attempts}" if attempts > 1 else ""))
+    again = f" in attempt {loaded.attempts}" if loaded.attempts > 1 else ""
+    if loaded.confirmed:
+        print(f"{words} words loaded and started{again}")
+    else:
+        print(f"{words} words loaded{again}; the last byte has not come back: see whether it runs")

@@ -137,7 +137,8 @@ def _offer(session: Session, name: str, timeout_s: float, fields: dict[str, int]
 def _watch(session: Session) -> int:
     """Return how many command timeouts the robot has told of. RobotError: any other fault."""
     timeouts = sum(
-        event.name == "state" and list(protocol.FAULTS)[event.values["fault"]] == "COMMAND_TIMEOUT"
+        event.name == "state"
+        and protocol.name_of("fault", event.values["fault"]) == "COMMAND_TIMEOUT"
         for event in session.events
     )
     session.events.clear()

@@ -67,6 +67,7 @@ class Recorder:
         self._period_ms = period_of(rate_hz)
         self._sequences: list[int] = []
         self._rows: list[list[int]] = []
+        self._doubtful: tuple[int, list[int]] | None = None
         self._skipped_before = 0
 
     @property
@@ -90,10 +91,25 @@ class Recorder:
         return log, Account(len(self._rows), missing, min(skipped % 65536, missing), gaps)
 
     def _take(self, sequence: int, raw: dict[str, int]) -> None:
-        if self._rows and (raw["time_ms"] - self._rows[-1][0]) % 2**32 > 2**31:
-            raise RobotError("the robot has started anew: the recording ends here")
+        row = [raw[name] for name in SIGNALS]
+        if self._rows and not self._follows(self._sequences[-1], self._rows[-1], sequence, row):
+            # Damage that the CRC has missed, or a robot that has started anew: the next one tells.
+            if self._doubtful is not None and self._follows(*self._doubtful, sequence, row):
+                raise RobotError("the robot has started anew: the recording ends here")
+            self._doubtful = (sequence, row)
+            return
+        self._doubtful = None
         self._sequences.append(sequence)
-        self._rows.append([raw[name] for name in SIGNALS])
+        self._rows.append(row)
+
+    def _follows(
+        self, before: int, row_before: list[int], after: int, row_after: list[int]
+    ) -> bool:
+        """Whether time has gone on as the sequence says; a frame may wait for up to a period."""
+        passed_ms = (row_after[0] - row_before[0] + 2**31) % 2**32 - 2**31
+        steps = (after - before) % 256
+        steps += 256 * round((passed_ms / self._period_ms - steps) / 256)
+        return passed_ms > 0 and abs(passed_ms - steps * self._period_ms) <= self._period_ms
 
 
 def make_log(

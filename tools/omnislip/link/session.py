@@ -33,6 +33,7 @@ STATUS_SIGNALS = (
     "answers_lost",
     "samples_lost",
 )
+_COUNTERS_END = ("_frames", "_lost")
 
 Take = Callable[[int, dict[str, int]], None]
 
@@ -49,6 +50,8 @@ class Counters:
     samples_missing: int = 0
     events: int = 0
     events_missing: int = 0
+    implausible: int = 0
+    """Valid frames that say what no robot says: damage that the CRC has missed."""
 
 
 @dataclass
@@ -129,11 +132,9 @@ class Session:
         self._check_table("signals", found["signal_table"], protocol.signal_table())
         for stream in range(protocol.STREAMS):
             self.close_stream(stream)
-        return Identity(
-            protocol.RESET_CAUSES[found["reset_cause"]],
-            list(protocol.STORE_STATUSES)[found["store_status"]],
-            found["time_ms"],
-        )
+        reset_cause = protocol.name_of("reset_cause", found["reset_cause"])
+        store_status = protocol.name_of("store_status", found["store_status"])
+        return Identity(reset_cause or "?", store_status or "?", found["time_ms"])
 
     def request(self, name: str, more: bytes = b"", **values: int) -> dict[str, int]:
         """Have a request carried out once; return the fields of its answer.
@@ -246,6 +247,8 @@ class Session:
                     f"the robot speaks protocol version {message.version}, this program "
                     f"{protocol.VERSION}: bring both to the same release"
                 )
+            else:
+                self.counters.implausible += 1
 
     def _take_event(self, event: Happening) -> None:
         self.counters.events += 1
@@ -256,8 +259,11 @@ class Session:
 
     def _take_sample(self, sample: Sample) -> None:
         stream = self._streams.get(sample.stream)
-        values = stream.layout.unpack(sample.signals) if stream is not None else None
-        if stream is None or values is None:
+        if stream is None:
+            return
+        values = stream.layout.unpack(sample.signals)
+        if values is None:
+            self.counters.implausible += 1
             return
         self.counters.samples += 1
         if stream.last_sequence is not None:
@@ -267,14 +273,15 @@ class Session:
         stream.take(sample.sequence, values)
 
     def _take_status(self, _sequence: int, raw: dict[str, int]) -> None:
-        self.status = Status(
-            raw["time_ms"],
-            list(protocol.STATES)[raw["state"]],
-            list(protocol.FAULTS)[raw["fault"]],
-            raw["fault_wheel"],
-            list(protocol.STORE_STATUSES)[raw["store_status"]],
-            {name: raw[name] for name in STATUS_SIGNALS if name.endswith(("_frames", "_lost"))},
+        state, fault, store_status = (
+            protocol.name_of(name, raw[name]) for name in ("state", "fault", "store_status")
         )
+        if state is None or fault is None or store_status is None:
+            self.counters.implausible += 1
+            return
+        counters = {name: raw[name] for name in STATUS_SIGNALS if name.endswith(_COUNTERS_END)}
+        wheel = raw["fault_wheel"]
+        self.status = Status(raw["time_ms"], state, fault, wheel, store_status, counters)
 
     def _check_table(self, what: str, theirs: int, ours: int) -> None:
         if theirs != ours:
