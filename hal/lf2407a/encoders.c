@@ -1,4 +1,4 @@
-/* Encoder counters in the CPLD, extended from 12 to 16 bits by adding up their differences. */
+/* Encoder counters in the CPLD, extended from 11 to 16 bits by adding up their differences. */
 #include "hal/cpld/registers.h"
 #include "hal/hal.h"
 #include "hal/lf2407a/drivers.h"

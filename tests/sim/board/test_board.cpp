@@ -100,7 +100,7 @@ static void a_counter_without_latch_is_refused(void) {
     bench.board.write(CPLD_BASE + CPLD_LATCH, 0);
     bench.counts = {9.0, 9.0, 9.0, 9.0};
     TEST_ASSERT_EQUAL_UINT16(5, bench.board.read(CPLD_BASE + CPLD_COUNT1));
-    TEST_ASSERT_EQUAL_HEX16(0x0FFF, bench.board.read(CPLD_BASE + CPLD_COUNT2));
+    TEST_ASSERT_EQUAL_HEX16(0x07FF, bench.board.read(CPLD_BASE + CPLD_COUNT2));
     TEST_ASSERT_EQUAL_UINT16(0, bench.board.read(CPLD_BASE + CPLD_COUNT3));
     ASSERT_FAULT("without LATCH", bench.board.read(CPLD_BASE + CPLD_COUNT1));
 }

@@ -287,10 +287,11 @@ static void protection_while_driving_latches_until_switched_on_again(void) {
 
 /* ---- counters ---- */
 
-/* 12 bits in the CPLD, 16 in the firmware: exact for any walk below 2048 counts a tick. */
+/* 11 bits in the CPLD, 16 in the firmware: exact for any walk below half of them a tick. */
 static void counters_are_extended_without_loss(void) {
     std::minstd_rand random(2);
-    std::uniform_int_distribution<int> step(-2047, 2047);
+    constexpr int kLargest = (1 << (CPLD_COUNT1_BITS - 1)) - 1;
+    std::uniform_int_distribution<int> step(-kLargest, kLargest);
     Bench bench;
     bench.start();
     bench.run_ms(1000.5, [&] {
