@@ -168,7 +168,7 @@ ClosedLoopLog run_closed_loop(const std::vector<double> &values,
                               const std::vector<Command> &commands,
                               const std::vector<Impulse> &impulses, double duration_s,
                               double step_s, const BoardSensors &sensors, Carrier carrier,
-                              const UserTermList &terms) {
+                              const UserTermList &terms, const CountersMaker &make_counters) {
     const parameters settings = to_settings(firmware);
     RobotBody robot(values, terms, impulses, step_s, sensors);
     hal_host_plant hal = {};
@@ -180,7 +180,7 @@ ClosedLoopLog run_closed_loop(const std::vector<double> &values,
     hal_host_attach(&hal);
     std::unique_ptr<OnBoard<RobotBody>> board;
     if (carrier == Carrier::kBoard) {
-        board = std::make_unique<OnBoard<RobotBody>>(robot);
+        board = std::make_unique<OnBoard<RobotBody>>(robot, make_counters);
         board->wait_for_tick(-kTick_s);
     }
     control_loop loop;

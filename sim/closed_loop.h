@@ -12,6 +12,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "board/counters.h"
 #include "firmware/parameters.h"
 #include "user_terms.h"
 
@@ -59,13 +60,14 @@ long closed_loop_ticks(double duration_s);
 
 /* `values`: parameter set of RobotPlant with the user's `terms`; `firmware`: raw value per
  * parameter id, PARAMETER_COUNT of them. Throws std::invalid_argument when the firmware refuses a
- * parameter or a command. */
+ * parameter or a command. `make_counters`: other encoder counters on the board's bus. */
 ClosedLoopLog run_closed_loop(const std::vector<double> &values,
                               const std::vector<std::int32_t> &firmware,
                               const std::vector<Command> &commands,
                               const std::vector<Impulse> &impulses, double duration_s,
                               double step_s, const BoardSensors &sensors = {},
-                              Carrier carrier = Carrier::kPlant, const UserTermList &terms = {});
+                              Carrier carrier = Carrier::kPlant, const UserTermList &terms = {},
+                              const CountersMaker &make_counters = {});
 
 /* Parameters of the firmware from the raw value per id; throws as run_closed_loop does. */
 parameters to_settings(const std::vector<std::int32_t> &firmware);

@@ -1,14 +1,16 @@
 /* counters.h - the encoder counters of the CPLD by their register map (hal/cpld/registers.def).
  *
- * This is what the Verilog must do, without its timing: a LATCH copies the counts of that instant
- * and the error flags, reads show the copies. A copy read twice, or before any LATCH, is refused:
- * the reader would take an old position for a new one.
+ * BehaviouralCounters is what the Verilog must do, without its timing: a LATCH copies the counts of
+ * that instant and the error flags, reads show the copies. A copy read twice, or before any LATCH,
+ * is refused: the reader would take an old position for a new one.
  */
 #ifndef OMNISLIP_SIM_BOARD_COUNTERS_H
 #define OMNISLIP_SIM_BOARD_COUNTERS_H
 
 #include <array>
 #include <cmath>
+#include <functional>
+#include <memory>
 
 #include "board/board.h"
 #include "hal/cpld/registers.h"
@@ -23,7 +25,15 @@ class EncoderSource {
     virtual std::array<double, 4> encoder_counts(BoardTime now) = 0;
 };
 
-class BehaviouralCounters : public BusDevice {
+class EncoderCounters : public BusDevice {
+  public:
+    /* Where the shafts are at `now`; told whenever the plant has run to another instant. */
+    virtual void turn(const std::array<double, 4> &, BoardTime) {}
+};
+
+using CountersMaker = std::function<std::unique_ptr<EncoderCounters>(EncoderSource &)>;
+
+class BehaviouralCounters : public EncoderCounters {
   public:
     explicit BehaviouralCounters(EncoderSource &source) : source_(source) {}
 

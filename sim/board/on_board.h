@@ -11,6 +11,7 @@
 
 #include <array>
 #include <cmath>
+#include <memory>
 #include <stdexcept>
 
 #include "board/board.h"
@@ -24,9 +25,13 @@ namespace omnislip {
 template <class Body>
 class OnBoard : public BoardSurroundings, public EncoderSource {
   public:
-    /* The drivers are started; the tick runs after `run`. */
-    explicit OnBoard(Body &body)
-        : body_(body), counters_(*this), board_(*this, counters_, board_vectors()) {
+    /* The drivers are started; the tick runs after `run`. Without a maker the counters are
+     * BehaviouralCounters. */
+    explicit OnBoard(Body &body, const CountersMaker &make_counters = {})
+        : body_(body),
+          counters_(make_counters ? make_counters(*this)
+                                  : std::make_unique<BehaviouralCounters>(*this)),
+          board_(*this, *counters_, board_vectors()) {
         board_.attach();
         hal_host_attach(&board_hal());
         board_start();
@@ -80,10 +85,12 @@ class OnBoard : public BoardSurroundings, public EncoderSource {
             return;
         body_.run(at_s_, time_s - at_s_);
         at_s_ = time_s;
+        counters_->turn(body_.shaft_counts(),
+                        origin_ + static_cast<BoardTime>(std::lround(time_s / kBoardTime_s)));
     }
 
     Body &body_;
-    BehaviouralCounters counters_;
+    std::unique_ptr<EncoderCounters> counters_;
     Board board_;
     BoardTime origin_ = kNever;
     double at_s_ = 0.0;
