@@ -160,7 +160,7 @@ def test_the_whole_circle(tmp_path):
         logs.append(tmp_path / f"run_{number}.csv")
         write_log(log, logs[-1])
     found = to_json(find_gap(NOMINAL_ROBOT, logs, lambda _: None))
-    assert found["verdict"] == "effect_found"
+    assert found["verdict"] == "effect_found", found["sentence"]
     (named,) = found["effects"]
     assert (named["name"], named["wheel"]) == ("weak_motor", 3)
     scale = named["parameters"]["scale"]

@@ -133,9 +133,8 @@ def find_gap(
     progress("checking the recording")
     checked = check(machine, [mend(log, wiring) for log in logs])
     logs, cuts = checked.logs, checked.cuts
-    reason = checked.complaint or logged_set_points(machine, logs)
-    if reason:
-        return _insufficient(machine, logs, reason, inputs)
+    if checked.complaint:
+        return _insufficient(machine, logs, checked.complaint, inputs)
     progress("looking for impacts")
     cuts += known_pushes(model)
     runs = [make_run(machine, log, *rows) for log in logs for rows in pieces(log, cuts)]
@@ -157,6 +156,10 @@ def find_gap(
         impacts = confirmed
         if not fresh:
             break
+    if outcome.selected or outcome.leftover:
+        reason = logged_set_points(machine, logs, outcome.final.hypothesis.flat(machine.believed))
+        if reason:
+            return _insufficient(machine, logs, reason, inputs)
     if not (outcome.selected or wiring or impacts or outcome.leftover):
         reason = too_poor(machine, outcome.limits)
         if reason:

@@ -4,9 +4,8 @@ What a log shows is compared with what its encoders say: J+ of eq. (3) turns the
 motion of the body, without a model of motors or friction. That is right but for slip, so only what
 no slip can do counts. A gate either mends a log (a pose that jumps for one picture is blanked),
 cuts it (a gap in time, a camera that starts anew somewhere else), or says in one sentence why the
-logs cannot be used as they are. Set-points in place of applied duties need the believed plant: a
-ramped or clipped duty has to explain the log far better than the logged one, and better than a
-driver that is late.
+logs cannot be used as they are. Set-points in place of applied duties show last: a ramped duty has
+to explain the log far better than the logged one does with everything that was found for it.
 """
 
 from collections.abc import Sequence
@@ -67,11 +66,6 @@ OTHER_TRAVEL, OTHER_SPEED = 0.06, 0.15
 SURE = 5.0
 LOOK_AT_S = 20.0
 RAMPS_1_S = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
-SLOW_DRIVERS = {
-    "driver_lag": (0.005, 0.01, 0.02, 0.04, 0.08, 0.16),
-    "actuation_delay": (0.005, 0.01, 0.02, 0.04, 0.08),
-    "current_limit": (4.0, 8.0, 12.0, 16.0, 24.0),
-}
 LEAST_VISIBLE = 0.5
 """Share of the effects that logs must be able to show at a size worth looking for."""
 
@@ -578,11 +572,11 @@ def _turn_ratio(machine: Machine, log: Log) -> Array:
     return turned / wheels
 
 
-def logged_set_points(machine: Machine, logs: Sequence[Log]) -> str | None:
+def logged_set_points(machine: Machine, logs: Sequence[Log], found: Array) -> str | None:
     """Return why the duty columns look like set-points and not like what was applied, or None.
 
-    A ramp must explain the logs better than the duty as logged by a nat per reading, and better by
-    a third of that than any driver of the catalogue that is slow or weak.
+    A ramp before the believed model must explain the logs better than the duty as logged does with
+    the model `found` for it, by a nat per reading: lags and limits have had their chance there.
     """
     if machine.kind != "robot":
         return None
@@ -592,21 +586,16 @@ def logged_set_points(machine: Machine, logs: Sequence[Log]) -> str | None:
     readings = sum(int(np.count_nonzero(~np.isnan(run.outputs))) for run in runs)
 
     def worth(tried: Sequence[Log], values: Array) -> float:
-        found = track_all(machine, [make_run(machine, log) for log in tried], values, noise)
-        return float(np.nan_to_num(sum(track.log_likelihood for track in found), nan=-1e300))
+        tracks = track_all(machine, [make_run(machine, log) for log in tried], values, noise)
+        return float(np.nan_to_num(sum(track.log_likelihood for track in tracks), nan=-1e300))
 
-    believed = machine.believed
-    logged = worth(looked_at, believed)
-    ramps = {rate: worth([_ramped(log, rate) for log in looked_at], believed) for rate in RAMPS_1_S}
+    ramps = {r: worth([_ramped(log, r) for log in looked_at], machine.believed) for r in RAMPS_1_S}
     best = max(ramps, key=ramps.__getitem__)
-    if ramps[best] - logged < readings:
+    if (
+        ramps[best] - max(worth(looked_at, values) for values in (machine.believed, found))
+        < readings
+    ):
         return None
-    candidates = {candidate.name: candidate for candidate in machine.candidates()}
-    for name, sizes in SLOW_DRIVERS.items():
-        for size in sizes:
-            values = machine.with_effect(believed, candidates[name], [size])
-            if ramps[best] - worth(looked_at, values) < readings / 3:
-                return None
     return (
         f"the duty columns look like set-points: the motors follow them with about {best:g} per "
         f"second; log the duty that is applied"
