@@ -1,10 +1,11 @@
 """Whether the encoder counters fit an XC95144XL, as far as yosys can tell.
 
 yosys maps the Verilog to macrocells of CoolRunner-II, a younger family with the same macrocell: an
-OR of product terms, an XOR, a D or T flip-flop. This counts them as an XC95144XL has them (Xilinx
-DS056): product terms belong to one macrocell, the clock comes from a global pin, an output that can
-be switched off takes one product term for it; and looks for a division into its function blocks.
-Xilinx' fitter was not run: it also places pins and may combine terms differently.
+OR of product terms, an XOR, a D or T flip-flop. This counts them as an XC95144XL has them: product
+terms belong to one macrocell, the clock comes from a global pin, an output that can be switched off
+takes one product term for it; and looks for a division into its function blocks. The limits are from
+memory of Xilinx' data sheets DS054 and DS056. Xilinx' fitter was not run: it also places pins and
+may combine terms differently.
 
 Usage: python macrocells.py FOLDER_OF_REGISTERS_VH    (exit status 1 when it does not fit)
 """
@@ -21,7 +22,7 @@ from pathlib import Path
 SOURCES = Path(__file__).parents[3] / "hal/cpld"
 TOP = "xc95144xl"
 BLOCKS, BLOCK_MACROCELLS, BLOCK_TERMS, BLOCK_INPUTS = 8, 18, 90, 54
-BLOCK_OUTPUTS = 3  # of the 10 and more pins of a block: spread, so that one block need not read all
+BLOCK_OUTPUTS = 3  # of some ten pins: spread, so that no block must read all of the copies
 
 
 @dataclass

@@ -50,7 +50,10 @@ class RtlCounters : public EncoderCounters {
         return data;
     }
 
+    /* Only a write asks for the shafts, as BehaviouralCounters does: each question makes the
+     * plant's steps others. */
     void write(std::uint16_t offset, std::uint16_t, BoardTime now) override {
+        turn(source_.encoder_counts(now), now);
         reach(now);
         /* A LATCH shows the last sample at least five clocks before the last one of the strobe;
          * samples are at odd clocks. */
@@ -69,10 +72,8 @@ class RtlCounters : public EncoderCounters {
 
     /* Clocks up to the strobe of a bus cycle that ends at `now`. */
     void reach(BoardTime now) {
-        const std::array<double, 4> counts = source_.encoder_counts(now);
         if (known_.empty())
-            known_.push_back({0, counts});
-        turn(counts, now);
+            turn(source_.encoder_counts(now), 0);
         const BoardTime end = now - kStrobe;
         while (part_.now() < end) {
             const BoardTime still =
@@ -86,7 +87,7 @@ class RtlCounters : public EncoderCounters {
             known_.pop_front();
     }
 
-    /* The line that holds at `now` begins here; after the last instant shafts stand. */
+    /* The line that holds at `now` begins here. */
     std::size_t line_at(BoardTime now) const {
         std::size_t i = known_.size() - 1;
         while (i > 0 && known_[i].time > now)
@@ -94,10 +95,12 @@ class RtlCounters : public EncoderCounters {
         return i;
     }
 
+    /* After the last known instant shafts go on as before it. */
     std::array<double, 4> speeds(std::size_t line) const {
         std::array<double, 4> speed = {};
-        if (line + 1 < known_.size()) {
-            const Known &from = known_[line], &to = known_[line + 1];
+        if (known_.size() > 1) {
+            const std::size_t begin = std::min(line, known_.size() - 2);
+            const Known &from = known_[begin], &to = known_[begin + 1];
             for (std::size_t i = 0; i < 4; ++i)
                 speed[i] =
                     (to.counts[i] - from.counts[i]) / static_cast<double>(to.time - from.time);
