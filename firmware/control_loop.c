@@ -247,11 +247,12 @@ static void limit_to_grip(control_loop *loop, u16 heading, traction_change *chan
 static kinematics_force advance_target(control_loop *loop) {
     const u16 heading = odometry_binary_angle(loop->telemetry.pose.theta_mrad_q13);
     traction_change change = loop->target.velocity;
-    u16 wheel, axis;
+    u16 axis;
     if (loop->telemetry.mode == CONTROL_MODE_POSE) {
         trajectory_step_to_pose(&loop->target, loop->settings);
     } else {
-        wheel = trajectory_step_velocity(&loop->target, loop->settings, &loop->command_velocity);
+        const u16 wheel =
+            trajectory_step_velocity(&loop->target, loop->settings, &loop->command_velocity);
         if (wheel != 0)
             report_limit(loop, CONTROL_LIMIT_TRACTION, wheel);
     }
@@ -276,8 +277,8 @@ static void wanted_velocity(const control_loop *loop, traction_change *wanted) {
     const control_loop_telemetry *telemetry = &loop->telemetry;
     const i16 gain_q20 = PARAMETER_GET(loop->settings, position_gain_q20);
     const i16 heading_gain_q20 = PARAMETER_GET(loop->settings, heading_gain_q20);
-    const i32 turn_q13 =
-        odometry_wrap_mrad_q13(telemetry->target.theta_mrad_q13 - telemetry->pose.theta_mrad_q13);
+    const i32 turn_q13 = odometry_wrap_mrad_q13(
+        fixed_subtract_i32(telemetry->target.theta_mrad_q13, telemetry->pose.theta_mrad_q13));
     *wanted = loop->target.velocity;
     wanted->axis_q22[0] += correction_q22(
         fixed_subtract_i32(telemetry->target.x_mm_q13, telemetry->pose.x_mm_q13), gain_q20);
@@ -294,10 +295,12 @@ static kinematics_velocity demand_velocity(control_loop *loop) {
     u16 axis;
     wanted_velocity(loop, &change);
     for (axis = 0; axis < 3; axis++)
-        change.axis_q22[axis] -= loop->demand.axis_q22[axis];
+        change.axis_q22[axis] =
+            fixed_subtract_i32(change.axis_q22[axis], loop->demand.axis_q22[axis]);
     limit_to_grip(loop, heading, &change);
     for (axis = 0; axis < 3; axis++)
-        loop->demand.axis_q22[axis] += change.axis_q22[axis];
+        loop->demand.axis_q22[axis] =
+            fixed_add_i32(loop->demand.axis_q22[axis], change.axis_q22[axis]);
     body.x_m_s_q13 = fixed_saturate_i16(fixed_shift_right(loop->demand.axis_q22[0], 9));
     body.y_m_s_q13 = fixed_saturate_i16(fixed_shift_right(loop->demand.axis_q22[1], 9));
     body.omega_rad_s_q11 = fixed_saturate_i16(fixed_shift_right(loop->demand.axis_q22[2], 11));
@@ -342,7 +345,8 @@ static void drive_wheels(control_loop *loop, const kinematics_velocity *body,
     const kinematics_force roller = contact_roller_force(p, body);
     const i16 limit_v_q9 = fixed_multiply_q15(supply_v_q9, PARAMETER_GET(p, duty_limit_q15));
     /* 2^27 / Q9; below 2^15 because supply_minimum is above 8 V */
-    const i16 inverse_supply_q18 = (i16)(134217728L / supply_v_q9);
+    const i16 inverse_supply_q18 =
+        fixed_saturate_i16(fixed_divide(134217728L, (u16)supply_v_q9, 0));
     kinematics_force force = *inertia;
     i16 hub_m_s_q13[WHEEL_COUNT];
     i16 force_n_q8[WHEEL_COUNT];

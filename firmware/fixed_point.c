@@ -3,6 +3,7 @@
 
 #define QUARTER_TURN 16384
 #define HALF_TURN 32768L
+#define ONE_Q15 32768L
 
 i16 fixed_saturate_i16(i32 value) {
     if (value > I16_MAX)
@@ -20,6 +21,12 @@ i16 fixed_clamp_i16(i32 value, i16 magnitude) {
     return (i16)value;
 }
 
+i32 fixed_clamp_i32(i32 value, i32 magnitude) {
+    if (value > magnitude)
+        return magnitude;
+    return value < -magnitude ? -magnitude : value;
+}
+
 i16 fixed_add_i16(i16 a, i16 b) {
     return fixed_saturate_i16((i32)a + b);
 }
@@ -29,19 +36,15 @@ i16 fixed_subtract_i16(i16 a, i16 b) {
 }
 
 i32 fixed_add_i32(i32 a, i32 b) {
-    if (b > 0 && a > (i32)I32_MAX - b)
-        return (i32)I32_MAX;
-    if (b < 0 && a < (i32)I32_MIN - b)
-        return (i32)I32_MIN;
-    return a + b;
+    if (b >= 0)
+        return a > (i32)I32_MAX - b ? (i32)I32_MAX : a + b;
+    return a < (i32)I32_MIN - b ? (i32)I32_MIN : a + b;
 }
 
 i32 fixed_subtract_i32(i32 a, i32 b) {
-    if (b < 0 && a > (i32)I32_MAX + b)
-        return (i32)I32_MAX;
-    if (b > 0 && a < (i32)I32_MIN + b)
-        return (i32)I32_MIN;
-    return a - b;
+    if (b >= 0)
+        return a < (i32)I32_MIN + b ? (i32)I32_MIN : a - b;
+    return a > (i32)I32_MAX + b ? (i32)I32_MAX : a - b;
 }
 
 i32 fixed_shift_right(i32 value, u16 shift) {
@@ -65,8 +68,9 @@ i16 fixed_multiply_q15(i16 a, i16 b_q15) {
 i32 fixed_multiply_i32_q15(i32 a, i16 b_q15) {
     const i16 high = (i16)(a >> 16);
     const i16 low_half = (i16)((u32)(a & 0xFFFFL) >> 1); /* halved to fit a signed factor */
-    const i32 high_product = fixed_shift_left((i32)high * b_q15, 1); /* 2^16 / 2^15 = 2 */
-    return fixed_add_i32(high_product, fixed_shift_right((i32)low_half * b_q15, 14));
+    const i32 high_product = (i32)high * b_q15;
+    return fixed_add_i32(fixed_add_i32(high_product, high_product), /* 2^16 / 2^15 = 2 */
+                         fixed_shift_right((i32)low_half * b_q15, 14));
 }
 
 i32 fixed_divide(i32 numerator, u16 denominator, u16 shift) {
@@ -74,7 +78,7 @@ i32 fixed_divide(i32 numerator, u16 denominator, u16 shift) {
     if (denominator == 0)
         return numerator < 0 ? (i32)I32_MIN : (i32)I32_MAX;
     quotient = numerator / (i32)denominator;
-    remainder = numerator - quotient * (i32)denominator;
+    remainder = numerator % (i32)denominator;
     /* remainder < 2^16, so remainder * 2^15 fits; its sign is that of the numerator. */
     return fixed_add_i32(fixed_shift_left(quotient, shift),
                          remainder * ((i32)1 << shift) / (i32)denominator);
@@ -144,7 +148,7 @@ i16 fixed_atan2(i32 y, i32 x) {
         large >>= 1;
         small >>= 1;
     }
-    angle = eighth_turn_atan(fixed_divide(small, (u16)large, 15));
+    angle = eighth_turn_atan(fixed_clamp_i32(fixed_divide(small, (u16)large, 15), ONE_Q15));
     if (swapped)
         angle = QUARTER_TURN - angle;
     if (x < 0)

@@ -21,6 +21,7 @@ extern "C" {
 
 i16 fixed_saturate_i16(i32 value);
 i16 fixed_clamp_i16(i32 value, i16 magnitude);
+i32 fixed_clamp_i32(i32 value, i32 magnitude);
 i16 fixed_add_i16(i16 a, i16 b);
 i16 fixed_subtract_i16(i16 a, i16 b);
 i32 fixed_add_i32(i32 a, i32 b);

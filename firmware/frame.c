@@ -84,7 +84,10 @@ u16 frame_send(frame_writer *frame, u16 leave_free) {
 /* ---- Receiving ---- */
 
 void frame_reader_reset(frame_reader *frame) {
-    frame->inside = 0; /* the first byte of a frame sets the rest */
+    frame->length = 0;
+    frame->until_zero = 0;
+    frame->inside = 0;
+    frame->too_long = 0;
 }
 
 static void keep(frame_reader *frame, u16 byte) {

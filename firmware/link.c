@@ -60,7 +60,7 @@ static link_result handle_identify(link_state *link, const request *r) {
 }
 
 static link_result handle_parameter_get(link_state *link, const request *r) {
-    i32 value;
+    i32 value = 0;
     if (parameters_get(link->parts.settings, r->field[0], &value) != PARAMETERS_OK)
         return LINK_RESULT_ID;
     frame_add_u16(link->parts.frame, (u16)value);
@@ -70,8 +70,9 @@ static link_result handle_parameter_get(link_state *link, const request *r) {
 static link_result handle_parameter_describe(link_state *link, const request *r) {
     frame_writer *frame = link->parts.frame;
     parameter_info info;
-    if (parameters_describe(r->field[0], &info) != PARAMETERS_OK)
+    if (r->field[0] >= PARAMETER_COUNT)
         return LINK_RESULT_ID;
+    parameters_describe(r->field[0], &info);
     frame_add_u16(frame, (u16)link->parts.settings->value[r->field[0]]);
     frame_add_u16(frame, (u16)info.minimum);
     frame_add_u16(frame, (u16)info.maximum);
@@ -282,7 +283,8 @@ static u16 is_request(const link_state *link, frame_status status) {
 
 void link_tick(link_state *link) {
     telemetry_counters *counters = &link->parts.told->counters;
-    u16 bytes, byte;
+    u16 byte = 0;
+    u16 bytes;
     counters->bytes_lost = (u16)(counters->bytes_lost + hal_serial_lost());
     for (bytes = 0; bytes < LINK_BYTES_PER_TICK && hal_serial_read(&byte); bytes++) {
         const frame_status status = frame_receive(&link->reader, byte);

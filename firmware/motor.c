@@ -21,7 +21,8 @@ i16 motor_dry_slack_n_q8(const parameters *p, i16 shaft_rad_s_q5) {
     const i16 sign_q7 = fixed_clamp_i16(shaft_rad_s_q5, COULOMB_RAMP_RAD_S_Q5);
     const i16 slack_q7 = (i16)(COULOMB_RAMP_RAD_S_Q5 - (sign_q7 < 0 ? -sign_q7 : sign_q7));
     /* Q8 * Q7 = Q15 -> Q8 */
-    return (i16)fixed_shift_right((i32)PARAMETER_GET(p, coulomb_force_q8) * slack_q7, 7);
+    return fixed_saturate_i16(
+        fixed_shift_right((i32)PARAMETER_GET(p, coulomb_force_q8) * slack_q7, 7));
 }
 
 i32 motor_inertia_force_n_q15(const parameters *p, i16 shaft_change_rad_s_q5) {

@@ -3,14 +3,16 @@
 
 #include "firmware/fixed_point.h"
 
-#define LARGEST_STEP_MM_Q13 2048   /* 0.25 mm */
+#define LARGEST_STEP_MM_Q13 2048 /* 0.25 mm */
+#define LARGEST_WAY_Q13 ((i32)I32_MAX / OUTSIDE_POSE_SPACING_MS)
 #define LARGEST_STEP_MRAD_Q13 4096 /* 0.5 mrad */
 
 static odometry_pose sum(const odometry_pose *a, const odometry_pose *b) {
     odometry_pose result;
     result.x_mm_q13 = fixed_add_i32(a->x_mm_q13, b->x_mm_q13);
     result.y_mm_q13 = fixed_add_i32(a->y_mm_q13, b->y_mm_q13);
-    result.theta_mrad_q13 = odometry_wrap_mrad_q13(a->theta_mrad_q13 + b->theta_mrad_q13);
+    result.theta_mrad_q13 =
+        odometry_wrap_mrad_q13(fixed_add_i32(a->theta_mrad_q13, b->theta_mrad_q13));
     return result;
 }
 
@@ -18,7 +20,8 @@ static odometry_pose difference(const odometry_pose *a, const odometry_pose *b) 
     odometry_pose result;
     result.x_mm_q13 = fixed_subtract_i32(a->x_mm_q13, b->x_mm_q13);
     result.y_mm_q13 = fixed_subtract_i32(a->y_mm_q13, b->y_mm_q13);
-    result.theta_mrad_q13 = odometry_wrap_mrad_q13(a->theta_mrad_q13 - b->theta_mrad_q13);
+    result.theta_mrad_q13 =
+        odometry_wrap_mrad_q13(fixed_subtract_i32(a->theta_mrad_q13, b->theta_mrad_q13));
     return result;
 }
 
@@ -46,7 +49,7 @@ void outside_pose_step(outside_pose *outside, odometry_pose *pose) {
     outside->given = sum(&outside->given, &step);
     outside->left = difference(&outside->left, &step);
     outside->newest_age_ms++;
-    if (outside->newest_age_ms == OUTSIDE_POSE_SPACING_MS) {
+    if (outside->newest_age_ms >= OUTSIDE_POSE_SPACING_MS) {
         outside->newest = (u16)((outside->newest + 1U) % OUTSIDE_POSE_PAST);
         outside->newest_age_ms = 0;
         outside->past[outside->newest] = difference(pose, &outside->given);
@@ -55,7 +58,7 @@ void outside_pose_step(outside_pose *outside, odometry_pose *pose) {
 
 /* Less than 64 mm and 0.26 rad lie between two poses of the ring. */
 static i32 share_of(i32 whole, u16 part_ms, u16 whole_ms) {
-    return whole * (i32)part_ms / (i32)whole_ms;
+    return fixed_clamp_i32(whole, LARGEST_WAY_Q13) * (i32)part_ms / (i32)whole_ms;
 }
 
 /* What the robot now believes to have been its pose age_ms ago. */
@@ -63,22 +66,20 @@ static odometry_pose believed(const outside_pose *outside, const odometry_pose *
     odometry_pose newer = difference(pose, &outside->given);
     odometry_pose older = outside->past[outside->newest];
     odometry_pose way;
-    u16 newer_age_ms = 0;
     u16 gap_ms = outside->newest_age_ms;
     u16 index = outside->newest;
-    while (newer_age_ms + gap_ms < age_ms) {
-        newer_age_ms = (u16)(newer_age_ms + gap_ms);
+    while (age_ms > gap_ms) {
+        age_ms = (u16)(age_ms - gap_ms); /* from now on before `newer` */
         gap_ms = OUTSIDE_POSE_SPACING_MS;
         newer = older;
         index = (u16)((index + OUTSIDE_POSE_PAST - 1U) % OUTSIDE_POSE_PAST);
         older = outside->past[index];
     }
     if (gap_ms > 0) {
-        const u16 part_ms = (u16)(age_ms - newer_age_ms);
         way = difference(&older, &newer);
-        way.x_mm_q13 = share_of(way.x_mm_q13, part_ms, gap_ms);
-        way.y_mm_q13 = share_of(way.y_mm_q13, part_ms, gap_ms);
-        way.theta_mrad_q13 = share_of(way.theta_mrad_q13, part_ms, gap_ms);
+        way.x_mm_q13 = share_of(way.x_mm_q13, age_ms, gap_ms);
+        way.y_mm_q13 = share_of(way.y_mm_q13, age_ms, gap_ms);
+        way.theta_mrad_q13 = share_of(way.theta_mrad_q13, age_ms, gap_ms);
         newer = sum(&newer, &way);
     }
     return sum(&newer, &outside->given);

@@ -10,6 +10,7 @@
 /* Words of a bank. */
 enum { MARKER = 0, SEQUENCE, TABLE, COUNT, VALUES };
 #define CRC_WORD(count) ((u16)(VALUES + (count)))
+#define LAST_WORD CRC_WORD(PARAMETER_COUNT)
 
 /* What a bank was found to hold, the more worth keeping the later. */
 enum { FOUND_NOTHING_WHOLE = 0, FOUND_BLANK, FOUND_OTHER_TABLE, FOUND_OURS };
@@ -38,6 +39,7 @@ static void begin(parameter_store *store, u16 step, u16 bank, u16 at) {
 
 static void end(parameter_store *store, parameter_store_status status) {
     store->step = RESTING;
+    store->at = MARKER; /* never beyond a bank, whatever the step */
     store->status = status;
 }
 
@@ -82,6 +84,7 @@ static void bank_checked(parameter_store *store, u16 found, parameters *p) {
 
 /* 1 when the word may stand where it does. */
 static u16 plausible(parameter_store *store, u16 word) {
+    const u16 id = (u16)(store->at - VALUES);
     parameter_info info;
     switch (store->at) {
         case MARKER:
@@ -93,16 +96,18 @@ static u16 plausible(parameter_store *store, u16 word) {
             store->found[store->bank] = word == store->table ? FOUND_OURS : FOUND_OTHER_TABLE;
             return 1;
         case COUNT:
+            if (word >= PARAMETER_STORE_BANK_WORDS - VALUES)
+                return 0;
             store->count = word;
-            return store->found[store->bank] == FOUND_OURS
-                       ? word == PARAMETER_COUNT
-                       : word < PARAMETER_STORE_BANK_WORDS - VALUES;
+            return store->found[store->bank] != FOUND_OURS || word == PARAMETER_COUNT;
         default:
             break;
     }
     if (store->found[store->bank] != FOUND_OURS)
         return 1;
-    parameters_describe((u16)(store->at - VALUES), &info);
+    if (id >= PARAMETER_COUNT)
+        return 0;
+    parameters_describe(id, &info);
     return (i16)word >= info.minimum && (i16)word <= info.maximum;
 }
 
@@ -110,7 +115,7 @@ static void check_word(parameter_store *store, parameters *p) {
     const u16 word = read_word(store);
     if (store->at == MARKER && word == BLANK_WORD) {
         bank_checked(store, FOUND_BLANK, p);
-    } else if (store->at > COUNT && store->at == CRC_WORD(store->count)) {
+    } else if (store->at > COUNT && store->at >= CRC_WORD(store->count)) {
         bank_checked(store,
                      word == store->crc ? store->found[store->bank] : (u16)FOUND_NOTHING_WHOLE, p);
     } else if (!plausible(store, word)) {
@@ -123,9 +128,13 @@ static void check_word(parameter_store *store, parameters *p) {
 }
 
 static void apply_word(parameter_store *store, parameters *p) {
-    p->value[store->at - VALUES] = (i16)read_word(store);
+    if (parameters_set(p, (u16)(store->at - VALUES), (i16)read_word(store)) != PARAMETERS_OK) {
+        parameters_set_defaults(p); /* it has changed since it was checked */
+        end(store, PARAMETER_STORE_CORRUPT);
+        return;
+    }
     store->at++;
-    if (store->at == CRC_WORD(PARAMETER_COUNT))
+    if (store->at >= LAST_WORD)
         end(store, status_of_banks(store));
 }
 
@@ -139,6 +148,11 @@ void parameter_store_start(parameter_store *store, parameters *p) {
     store->table = parameters_fingerprint();
     store->sequence[0] = 0;
     store->sequence[1] = 0;
+    store->found[0] = FOUND_NOTHING_WHOLE;
+    store->found[1] = FOUND_NOTHING_WHOLE;
+    store->count = 0;
+    store->current = 0;
+    parameters_set_defaults(p);
     parameter_store_load(store);
     for (calls = 0; calls < START_CALLS_MAX && store->step != RESTING; calls++)
         parameter_store_tick(store, p);
@@ -152,6 +166,7 @@ void parameter_store_start(parameter_store *store, parameters *p) {
 
 /* The word that the set being saved has at store->at; from word 1 on, in order. */
 static u16 word_to_save(parameter_store *store, const parameters *p) {
+    i32 value = 0;
     u16 word;
     switch (store->at) {
         case SEQUENCE:
@@ -163,10 +178,11 @@ static u16 word_to_save(parameter_store *store, const parameters *p) {
         case COUNT:
             word = PARAMETER_COUNT;
             break;
-        case CRC_WORD(PARAMETER_COUNT):
+        case LAST_WORD:
             return store->crc;
         default:
-            word = (u16)p->value[store->at - VALUES];
+            parameters_get(p, (u16)(store->at - VALUES), &value);
+            word = (u16)value;
             break;
     }
     store->crc = frame_crc_u16(store->crc, word);
@@ -180,15 +196,11 @@ static void open_bank(parameter_store *store) {
     begin(store, WRITING, store->bank, SEQUENCE);
 }
 
-static u16 set_is_done(const parameter_store *store) {
-    return store->at > CRC_WORD(PARAMETER_COUNT);
-}
-
 static void write_word(parameter_store *store, const parameters *p) {
     const u16 word = word_to_save(store, p);
     hal_store_write(address(store), word);
     store->at++;
-    if (set_is_done(store))
+    if (store->at > LAST_WORD)
         begin(store, VERIFYING, store->bank, SEQUENCE);
 }
 
@@ -198,7 +210,7 @@ static void verify_word(parameter_store *store, const parameters *p) {
         return;
     }
     store->at++;
-    if (set_is_done(store))
+    if (store->at > LAST_WORD)
         begin(store, CLOSING, store->bank, MARKER);
 }
 

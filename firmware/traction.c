@@ -7,22 +7,16 @@
 #define LINEAR_CHANGE_LIMIT_Q22 130000L  /* 31 m/s2 for 1 ms */
 #define ANGULAR_CHANGE_LIMIT_Q22 530000L /* 126 rad/s2 for 1 ms */
 
-static i32 clamp_i32(i32 value, i32 magnitude) {
-    if (value > magnitude)
-        return magnitude;
-    return value < -magnitude ? -magnitude : value;
-}
-
 /* m/s Q22 per 1 ms -> m/s2 Q10: times 1000 / 2^12 = 125 / 2^9 */
 static i16 acceleration_q10(i32 change_q22) {
     return fixed_saturate_i16(
-        fixed_shift_right(clamp_i32(change_q22, LINEAR_CHANGE_LIMIT_Q22) * 125, 9));
+        fixed_shift_right(fixed_clamp_i32(change_q22, LINEAR_CHANGE_LIMIT_Q22) * 125, 9));
 }
 
 /* rad/s Q22 per 1 ms -> rad/s2 Q8: times 1000 / 2^14 = 125 / 2^11 */
 static i16 angular_acceleration_q8(i32 change_q22) {
     return fixed_saturate_i16(
-        fixed_shift_right(clamp_i32(change_q22, ANGULAR_CHANGE_LIMIT_Q22) * 125, 11));
+        fixed_shift_right(fixed_clamp_i32(change_q22, ANGULAR_CHANGE_LIMIT_Q22) * 125, 11));
 }
 
 kinematics_force traction_inertia_force(const parameters *p, u16 heading,
@@ -137,9 +131,9 @@ u16 traction_limit(const parameters *p, u16 heading, traction_change *change) {
     if (largest_q8 <= limit_q8)
         return 0;
     scale_q15 = (i16)fixed_divide((i32)limit_q8, largest_q8, 15); /* Q8 / Q8 * 2^15, below 1 */
-    change->axis_q22[0] = clamp_i32(change->axis_q22[0], LINEAR_CHANGE_LIMIT_Q22);
-    change->axis_q22[1] = clamp_i32(change->axis_q22[1], LINEAR_CHANGE_LIMIT_Q22);
-    change->axis_q22[2] = clamp_i32(change->axis_q22[2], ANGULAR_CHANGE_LIMIT_Q22);
+    change->axis_q22[0] = fixed_clamp_i32(change->axis_q22[0], LINEAR_CHANGE_LIMIT_Q22);
+    change->axis_q22[1] = fixed_clamp_i32(change->axis_q22[1], LINEAR_CHANGE_LIMIT_Q22);
+    change->axis_q22[2] = fixed_clamp_i32(change->axis_q22[2], ANGULAR_CHANGE_LIMIT_Q22);
     for (axis = 0; axis < 3; axis++) {
         change->axis_q22[axis] = fixed_multiply_i32_q15(change->axis_q22[axis], scale_q15);
     }

@@ -5,6 +5,8 @@
 
 #define LONGEST_TICKS 60000U
 #define SHORTEST_TICKS 8U
+/* 16 m/s, 16 rad/s: 24 of them are below 2^31. */
+#define FASTEST_Q22 ((i32)1 << 26)
 
 static void limit_speed(const parameters *p, kinematics_velocity *velocity) {
     const i16 limit_q13 = PARAMETER_GET(p, speed_limit_q13);
@@ -174,6 +176,7 @@ static u32 stretch_ticks(const stretch *s) {
 /* Millimetres or milliradians, rounded up; the largest of the format for what lies beyond it. */
 static u32 whole_length(i32 x_q13, i32 y_q13) {
     u16 shift = 0;
+    /*@ loop unroll 17; */
     while (x_q13 > I16_MAX || x_q13 < I16_MIN || y_q13 > I16_MAX || y_q13 < I16_MIN) {
         x_q13 >>= 1;
         y_q13 >>= 1;
@@ -230,14 +233,15 @@ static u32 natural_ticks(const trajectory *t, const curve *c) {
     const i32 y_q13 = ((i32)c->v0[1] + c->v1[1]) / 2;
     const i32 turn_q11 = ((i32)c->v0[2] + c->v1[2]) / 2;
     const u16 speed_q13 = length(x_q13, y_q13);
-    i32 along_q13, ticks;
+    i32 ticks;
     if (speed_q13 > 0) {
         const i16 x_q15 = fixed_saturate_i16(fixed_divide(x_q13, speed_q13, 15));
         const i16 y_q15 = fixed_saturate_i16(fixed_divide(y_q13, speed_q13, 15));
-        along_q13 = fixed_add_i32(fixed_multiply_i32_q15(distance_q13(t, 0), x_q15),
-                                  fixed_multiply_i32_q15(distance_q13(t, 1), y_q15));
+        const i32 along_q13 = fixed_add_i32(fixed_multiply_i32_q15(distance_q13(t, 0), x_q15),
+                                            fixed_multiply_i32_q15(distance_q13(t, 1), y_q15));
         ticks = along_q13 / (i32)speed_q13;
     } else {
+        /*@ split turn_q11 > 0; */
         ticks = turn_q11 == 0 ? 0 : distance_q13(t, 2) / (4 * turn_q11); /* Q13 / Q13 */
     }
     return ticks < 0 ? 0 : (u32)ticks;
@@ -288,7 +292,8 @@ trajectory_status trajectory_plan(trajectory *t, const parameters *p, const odom
     kinematics_velocity limited = *arrival;
     i32 turn_mrad_q13 = goal->theta_mrad_q13 % ODOMETRY_FULL_TURN_MRAD_Q13;
     limit_speed(p, &limited);
-    planned.position_q13[2] = odometry_wrap_mrad_q13(t->position_q13[2]);
+    planned.position_q13[2] =
+        odometry_wrap_mrad_q13(t->position_q13[2] % ODOMETRY_FULL_TURN_MRAD_Q13);
     turn_mrad_q13 = odometry_wrap_mrad_q13(turn_mrad_q13 - planned.position_q13[2]);
     planned.goal_position_q13[0] = goal->x_mm_q13;
     planned.goal_position_q13[1] = goal->y_mm_q13;
@@ -315,15 +320,16 @@ static void move(trajectory *t, u16 axis, i32 step_q22) {
  *     p += v + a/2 + j/6,  v += a + j/2,  a = a(0),  j = (a(T) - a(0)) / T */
 static void step_axis(trajectory *t, u16 axis) {
     const u16 ticks = t->ticks_left;
-    const i32 distance_q13 = fixed_subtract_i32(t->goal_position_q13[axis], t->position_q13[axis]);
+    /* Q13 -> Q22 */
     const i32 mean_q22 =
-        fixed_divide(distance_q13, ticks, 9) - t->fraction_q22[axis] / (i32)ticks; /* Q13 -> Q22 */
+        fixed_clamp_i32(fixed_divide(distance_q13(t, axis), ticks, 9), FASTEST_Q22) -
+        t->fraction_q22[axis] / (i32)ticks;
     const i32 v0_q22 = t->velocity.axis_q22[axis];
     const i32 v1_q22 = t->goal_velocity.axis_q22[axis];
     const i32 a_q22 = (6 * mean_q22 - 4 * v0_q22 - 2 * v1_q22) / (i32)ticks;
     const i32 j_q22 = (6 * v0_q22 + 6 * v1_q22 - 12 * mean_q22) / (i32)ticks / (i32)ticks;
     move(t, axis, v0_q22 + a_q22 / 2 + j_q22 / 6);
-    t->velocity.axis_q22[axis] = v0_q22 + a_q22 + j_q22 / 2;
+    t->velocity.axis_q22[axis] = fixed_clamp_i32(v0_q22 + a_q22 + j_q22 / 2, FASTEST_Q22);
 }
 
 static void arrive(trajectory *t) {
@@ -355,7 +361,6 @@ static void shorten(trajectory *t, const parameters *p) {
 }
 
 void trajectory_step_to_pose(trajectory *t, const parameters *p) {
-    u16 axis;
     shorten(t, p);
     if (t->ticks_left == 0) {
         coast(t);
@@ -364,6 +369,7 @@ void trajectory_step_to_pose(trajectory *t, const parameters *p) {
     if (t->ticks_left == 1) {
         arrive(t);
     } else {
+        u16 axis;
         for (axis = 0; axis < 3; axis++)
             step_axis(t, axis);
     }
@@ -414,7 +420,8 @@ u16 trajectory_step_velocity(trajectory *t, const parameters *p, const kinematic
     limit_acceleration(p, &change);
     limited = traction_limit(p, heading, &change);
     for (axis = 0; axis < 3; axis++)
-        t->velocity.axis_q22[axis] += change.axis_q22[axis];
+        t->velocity.axis_q22[axis] =
+            fixed_clamp_i32(t->velocity.axis_q22[axis] + change.axis_q22[axis], FASTEST_Q22);
     coast(t);
     t->ticks_left = 0;
     return limited;

@@ -70,8 +70,9 @@ static u16 glitches(wheel_monitor *monitor, u16 glitch) {
 supervisor_fault wheel_monitor_step(wheel_monitor *monitor, const parameters *p,
                                     const wheel_monitor_input *input) {
     const supervisor_fault force_fault = impossible_force(monitor, p, input);
-    monitor->current_ma_q6 +=
-        magnitude(input->current_ma) - fixed_shift_right(monitor->current_ma_q6, 6);
+    /* In this form it is plain that the mean stays within the range of what it is the mean of. */
+    monitor->current_ma_q6 =
+        fixed_shift_right(monitor->current_ma_q6 * 63, 6) + magnitude(input->current_ma);
     if (glitches(monitor, input->glitch) ||
         magnitude(input->step_counts) > PARAMETER_GET(p, encoder_step_limit)) {
         monitor->glitch_score = 0;

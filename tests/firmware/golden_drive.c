@@ -1,0 +1,300 @@
+/* Twelve seconds of driving on a plant of integers: a checksum each second, to be equal on machines
+ * with 32-bit and 16-bit int.
+ *
+ * The whole robot drives in closed loop: velocities, poses, duties and outside poses arrive over
+ * the serial line, two telemetry streams leave, a blow hits it, supply and floor change. Since the
+ * loop is closed, one bit that differs anywhere changes everything after it. All that leaves the
+ * robot goes into the checksum: duties, bridges, bytes of the line, words of the store.
+ *
+ * The plant is that of the nominal robot in um/s, urad/s, mN and ms, with
+ *     f = F s / (|s| + s0),   F = 29.43 N mu / 0.6,   s0 = 39 mm/s
+ * instead of the arc tangent of paper (13). Divisions truncate towards zero on both machines.
+ */
+#include <stdio.h>
+
+#include "firmware/robot.h"
+#include "hal/hal.h"
+
+#define SECONDS 12
+
+static u32 seed = 1;
+static u32 checksum = 0;
+
+static u16 next_random(void) {
+    seed = seed * (u32)1664525 + (u32)1013904223;
+    return (u16)(seed >> 16);
+}
+
+static void mix(u32 value) {
+    checksum = (checksum << 5) + (checksum >> 27) + value;
+}
+
+/* ---- The plant ---- */
+
+#define NM_PER_COUNT 13090L /* at the rim */
+
+static i32 rim_um_s[WHEEL_COUNT];
+static i32 rim_nm[WHEEL_COUNT]; /* beyond the counter */
+static u16 counter[WHEEL_COUNT];
+static i16 duty_q15[WHEEL_COUNT];
+static i16 current_ma[WHEEL_COUNT];
+static i32 x_um_s, y_um_s, turn_urad_s;
+static i32 grip_mn = 29430;
+static u16 supply_mv = 24000;
+static u16 bridges_on = 0;
+
+static i32 size_of(i32 value) {
+    return value < 0 ? -value : value;
+}
+
+static i32 friction_mn(i32 slip_um_s) {
+    const i32 slip = slip_um_s / 64;
+    return grip_mn * slip / (size_of(slip) + 609);
+}
+
+static void turn_wheel(u16 wheel, i32 force_mn) {
+    /* 10.2 N/V of the stalled motor, 62.4 N s/m of back-EMF and drag, 1.44 kg seen at the rim */
+    const i32 voltage_mv = bridges_on ? (i32)duty_q15[wheel] / 8 * (i32)supply_mv / 4096 : 0;
+    const i32 drive_mn = voltage_mv * 51 / 5 - rim_um_s[wheel] / 1000 * 312 / 5;
+    i32 nm;
+    rim_um_s[wheel] += (drive_mn - force_mn) / 36 * 25;
+    current_ma[wheel] = (i16)((voltage_mv - rim_um_s[wheel] / 1000 * 153 / 25) * 5 / 3);
+    nm = rim_nm[wheel] + rim_um_s[wheel];
+    counter[wheel] = (u16)(counter[wheel] + nm / NM_PER_COUNT);
+    rim_nm[wheel] = nm % NM_PER_COUNT;
+}
+
+static void plant_tick(void) {
+    static const i16 sine_q10[WHEEL_COUNT] = {512, 512, -512, -512};
+    static const i16 cosine_q10[WHEEL_COUNT] = {887, -887, -887, 887};
+    i32 x_mn = 0, y_mn = 0, sum_mn = 0;
+    i32 x_change;
+    u16 i;
+    for (i = 0; i < WHEEL_COUNT; i++) {
+        const i32 hub_um_s = (x_um_s / 16 * -sine_q10[i] + y_um_s / 16 * cosine_q10[i]) / 64 +
+                             turn_urad_s / 5; /* L = 0.2 m */
+        const i32 force_mn = friction_mn(rim_um_s[i] - hub_um_s);
+        turn_wheel(i, force_mn);
+        x_mn += -sine_q10[i] * force_mn / 1024;
+        y_mn += cosine_q10[i] * force_mn / 1024;
+        sum_mn += force_mn;
+    }
+    x_change = x_mn / 20 + turn_urad_s / 1000 * (y_um_s / 1000) / 1000;
+    y_um_s += y_mn / 20 - turn_urad_s / 1000 * (x_um_s / 1000) / 1000;
+    x_um_s += x_change;
+    turn_urad_s += sum_mn * 4 / 11; /* L / Iz */
+}
+
+void hal_read_encoder_counts(u16 counts[4]) {
+    u16 i;
+    for (i = 0; i < WHEEL_COUNT; i++)
+        counts[i] = counter[i];
+}
+
+u16 hal_read_encoder_errors(void) {
+    return 0;
+}
+
+u16 hal_read_supply_mv(void) {
+    return (u16)(supply_mv + next_random() % 64U);
+}
+
+void hal_read_currents_ma(i16 ma[4]) {
+    u16 i;
+    for (i = 0; i < WHEEL_COUNT; i++)
+        ma[i] = current_ma[i];
+}
+
+void hal_write_duty(const i16 duty[4]) {
+    u16 i;
+    for (i = 0; i < WHEEL_COUNT; i++) {
+        duty_q15[i] = duty[i];
+        mix((u16)duty[i]);
+    }
+}
+
+void hal_enable_bridges(u16 on) {
+    bridges_on = on;
+    mix(on);
+}
+
+u16 hal_read_bridge_faults(void) {
+    return 0;
+}
+
+/* ---- The line and the store ---- */
+
+static frame_writer request;
+static u16 request_read;
+static u16 sequence;
+static u16 sent_bytes;
+static u16 stored[HAL_STORE_WORDS];
+
+static void begin(u16 code) {
+    frame_begin(&request);
+    frame_add_u8(&request, LINK_VERSION);
+    frame_add_u8(&request, code);
+    frame_add_u8(&request, sequence++);
+    request_read = 0;
+}
+
+u16 hal_serial_read(u16 *byte) {
+    if (request_read >= request.length)
+        return 0;
+    *byte = request.byte[request_read++];
+    return 1;
+}
+
+u16 hal_serial_space(void) {
+    return (u16)(128U - sent_bytes);
+}
+
+void hal_serial_write(u16 byte) {
+    sent_bytes++;
+    mix(byte);
+}
+
+u16 hal_serial_lost(void) {
+    return 0;
+}
+
+u16 hal_store_busy(void) {
+    return 0;
+}
+
+u16 hal_store_read(u16 address) {
+    return stored[address];
+}
+
+void hal_store_write(u16 address, u16 word) {
+    stored[address] = word;
+    mix((u32)address << 16 | word);
+}
+
+hal_reset_cause hal_read_reset_cause(void) {
+    return HAL_RESET_POWER_ON;
+}
+
+void hal_service_watchdog(void) {}
+
+u16 hal_read_tick_overruns(void) {
+    return 0;
+}
+
+/* ---- The host: one request every 10 ms ---- */
+
+#define REQUEST(name, code, bytes, more, fields, answer, description) REQUEST_##name = (code),
+enum {
+#include "firmware/messages.def"
+    REQUEST_NONE = 0
+};
+
+static void ask_for_stream(u16 stream, u16 period_ms, u16 first, u16 signals) {
+    u16 i;
+    begin(REQUEST_stream);
+    frame_add_u8(&request, stream);
+    frame_add_u16(&request, period_ms);
+    for (i = 0; i < signals; i++)
+        frame_add_u8(&request, (u16)(first + i));
+}
+
+static void command_velocity(i16 x_mm_s, i16 y_mm_s, i16 turn_mrad_s) {
+    begin(REQUEST_velocity);
+    frame_add_u16(&request, (u16)x_mm_s);
+    frame_add_u16(&request, (u16)y_mm_s);
+    frame_add_u16(&request, (u16)turn_mrad_s);
+}
+
+static void command_pose(i16 x_mm, i16 y_mm, i16 theta_mrad, i16 x_m_s_q13) {
+    begin(REQUEST_pose);
+    frame_add_u32(&request, (u32)((i32)x_mm * 8192));
+    frame_add_u32(&request, (u32)((i32)y_mm * 8192));
+    frame_add_u32(&request, (u32)((i32)theta_mrad * 8192));
+    frame_add_u16(&request, (u16)x_m_s_q13);
+    frame_add_u16(&request, 0);
+    frame_add_u16(&request, 0);
+}
+
+static void see_from_outside(const robot *r) {
+    const odometry_pose *pose = &r->loop.telemetry.pose;
+    begin(REQUEST_outside_pose);
+    frame_add_u32(&request, (u32)(pose->x_mm_q13 + next_random()));
+    frame_add_u32(&request, (u32)(pose->y_mm_q13 - next_random()));
+    frame_add_u32(&request, (u32)(pose->theta_mrad_q13 / 2));
+    frame_add_u16(&request, next_random() % 120U);
+}
+
+static void command_duty(i16 duty) {
+    u16 i;
+    begin(REQUEST_duty);
+    for (i = 0; i < WHEEL_COUNT; i++)
+        frame_add_u16(&request, (u16)(i < 2 ? -duty : duty));
+}
+
+static void make_request(const robot *r, u16 slot) {
+    const u16 second = (u16)(slot / 100U);
+    if (slot < 4) {
+        if (slot < 2) {
+            ask_for_stream(slot, (u16)(5 + 15 * slot), (u16)(14 * slot), (u16)(14 - 7 * slot));
+        } else {
+            begin(slot == 2 ? REQUEST_arm : REQUEST_identify);
+        }
+    } else if (slot % 7 == 0 && second < 11) {
+        see_from_outside(r);
+    } else if (slot % 2 != 0) {
+        return;
+    } else if (second < 4) {
+        command_velocity((i16)(1500 - 300 * (i16)(slot / 40U)), (i16)(400 * (i16)(second % 3U)),
+                         (i16)(second * 900U));
+    } else if (second < 9) {
+        command_pose((i16)(second < 7 ? 900 : -400), (i16)(200 * (i16)second - 1000),
+                     (i16)(second < 6 ? 3000 : -2500), (i16)(second < 7 ? 4000 : 0));
+    } else if (second < 10) {
+        command_duty((i16)(slot % 50U * 200U));
+    } else if (second < 11) {
+        command_velocity(0, (i16)(1000 - 4 * (i16)(slot % 100U)), 0);
+    } else {
+        begin(slot % 20 == 0 ? REQUEST_parameters_save : REQUEST_parameter_describe);
+        if (request.byte[2] == REQUEST_parameter_describe)
+            frame_add_u8(&request, slot % 64U);
+    }
+    frame_finish(&request);
+}
+
+static void change_world(u16 tick) {
+    if (tick == 2500) { /* 4 N s from the side */
+        y_um_s += 200000;
+        turn_urad_s += 500000;
+    }
+    grip_mn = tick < 5000 || tick > 6000 ? 29430 : 15000;
+    supply_mv = (u16)(24000U - tick / 4U);
+}
+
+int main(void) {
+    static robot r;
+    u16 driven_ms = 0;
+    u16 tick;
+    for (tick = 0; tick < HAL_STORE_WORDS; tick++)
+        stored[tick] = 0xFFFFU;
+    robot_init(&r);
+    for (tick = 0; tick < SECONDS * 1000U; tick++) {
+        if (tick % 10U == 0)
+            make_request(&r, (u16)(tick / 10U));
+        change_world(tick);
+        robot_tick(&r);
+        plant_tick();
+        sent_bytes = (u16)(sent_bytes < 11 ? 0 : sent_bytes - 11);
+        mix((u32)r.loop.telemetry.pose.x_mm_q13);
+        mix((u32)r.loop.target.velocity.axis_q22[1]);
+        if (r.loop.telemetry.state == SUPERVISOR_STATE_DRIVE)
+            driven_ms++;
+        if (tick % 1000U == 999)
+            printf("%2u s %08lx x %ld mm, y %ld mm, fault %u, rim %ld um/s, lost %u\n",
+                   tick / 1000U + 1U, (unsigned long)checksum,
+                   (long)(r.loop.telemetry.pose.x_mm_q13 / 8192),
+                   (long)(r.loop.telemetry.pose.y_mm_q13 / 8192), (unsigned)r.loop.telemetry.fault,
+                   (long)rim_um_s[0], (unsigned)r.told.counters.samples_lost);
+    }
+    printf("driven %u ms, %u requests\n", driven_ms, sequence);
+    return 0;
+}
