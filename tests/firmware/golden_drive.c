@@ -270,6 +270,27 @@ static void change_world(u16 tick) {
     supply_mv = (u16)(24000U - tick / 4U);
 }
 
+/* ---- Time, on the AVR: its timer 1 counts every eighth cycle ---- */
+
+#ifdef __AVR__
+#include <avr/io.h>
+
+static u32 cycles_in_all, longest_cycles; /* the sum is of cycles / 8 */
+
+static void timed_tick(robot *r) {
+    u32 cycles;
+    TCCR1B = 1 << CS11;
+    TCNT1 = 0;
+    robot_tick(r);
+    cycles = (u32)TCNT1;
+    cycles_in_all += cycles;
+    if (cycles * 8 > longest_cycles)
+        longest_cycles = cycles * 8;
+}
+#else
+#define timed_tick robot_tick
+#endif
+
 int main(void) {
     static robot r;
     u16 driven_ms = 0;
@@ -281,7 +302,7 @@ int main(void) {
         if (tick % 10U == 0)
             make_request(&r, (u16)(tick / 10U));
         change_world(tick);
-        robot_tick(&r);
+        timed_tick(&r);
         plant_tick();
         sent_bytes = (u16)(sent_bytes < 11 ? 0 : sent_bytes - 11);
         mix((u32)r.loop.telemetry.pose.x_mm_q13);
@@ -296,5 +317,9 @@ int main(void) {
                    (long)rim_um_s[0], (unsigned)r.told.counters.samples_lost);
     }
     printf("driven %u ms, %u requests\n", driven_ms, sequence);
+#ifdef __AVR__
+    printf("cycles of a tick: mean %lu, longest %lu\n",
+           (unsigned long)(cycles_in_all / (SECONDS * 125U)), (unsigned long)longest_cycles);
+#endif
     return 0;
 }
