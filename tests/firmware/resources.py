@@ -62,7 +62,8 @@ def call_graph() -> tuple[dict[str, int], dict[str, set[str]]]:
             text = graph.read_text()
             graph.unlink()
             for title, size in re.findall(
-                r'node: \{ title: "([^"]+)" label: "[^"]*?(\d+) bytes \((?:static|dynamic,bounded)\)', text
+                r'node: \{ title: "([^"]+)" label: "[^"]*?(\d+) bytes \((?:static|dynamic,bounded)\)',
+                text,
             ):
                 frame[title] = int(size) + 4  # and the return address
             for caller, called in re.findall(

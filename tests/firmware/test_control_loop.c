@@ -436,6 +436,48 @@ static void any_allowed_parameters_keep_the_duty_within_its_limit(void) {
     }
 }
 
+static void a_bridge_that_protects_itself_is_told_with_its_first_wheel(void) {
+    for (u16 half = 0; half < 2; half++) {
+        start(1);
+        drive(300, 0, 0, 20);
+        plant.bridge_faults = (uint16_t)(1U << half);
+        reference_plant_tick(&plant, &loop);
+        TEST_ASSERT_EQUAL(SUPERVISOR_FAULT_BRIDGE, loop.telemetry.fault);
+        TEST_ASSERT_EQUAL_UINT16(1 + 2 * half, loop.telemetry.fault_wheel);
+    }
+}
+
+static void a_supply_beyond_the_format_counts_as_its_end(void) {
+    plant.supply_v = 65.0;
+    drive(300, 0, 0, 500);
+    TEST_ASSERT_EQUAL(SUPERVISOR_FAULT_NONE, loop.telemetry.fault);
+    TEST_ASSERT_DOUBLE_WITHIN(0.02, 0.3, plant.state[PLANT_VX]);
+}
+
+/* A command that differs in any one of its numbers is another command. */
+static void each_number_of_a_pose_command_counts(void) {
+    const odometry_pose goal = {500L * 8192, 300L * 8192, 200L * 8192};
+    const kinematics_velocity arrival = {100, 200, 300};
+    for (int number = 0; number < 6; number++) {
+        odometry_pose other = goal;
+        kinematics_velocity other_arrival = arrival;
+        trajectory before;
+        start(1);
+        control_loop_command_pose(&loop, &goal, &arrival);
+        before = loop.target;
+        control_loop_command_pose(&loop, &goal, &arrival);
+        TEST_ASSERT_EQUAL_MEMORY(&before, &loop.target, sizeof before);
+        *(number == 0   ? &other.x_mm_q13
+          : number == 1 ? &other.y_mm_q13
+                        : &other.theta_mrad_q13) += number < 3 ? 8192 : 0;
+        *(number == 3   ? &other_arrival.x_m_s_q13
+          : number == 4 ? &other_arrival.y_m_s_q13
+                        : &other_arrival.omega_rad_s_q11) += (i16)(number < 3 ? 0 : 50);
+        control_loop_command_pose(&loop, &other, &other_arrival);
+        TEST_ASSERT_TRUE(memcmp(&before, &loop.target, sizeof before) != 0);
+    }
+}
+
 int main(void) {
     UNITY_BEGIN();
     RUN_TEST(step_of_speed_without_slip_compensation);
@@ -464,5 +506,8 @@ int main(void) {
     RUN_TEST(supply_voltage_does_not_change_the_motion);
     RUN_TEST(garbage_from_outside_keeps_the_duty_within_its_limit);
     RUN_TEST(any_allowed_parameters_keep_the_duty_within_its_limit);
+    RUN_TEST(a_bridge_that_protects_itself_is_told_with_its_first_wheel);
+    RUN_TEST(a_supply_beyond_the_format_counts_as_its_end);
+    RUN_TEST(each_number_of_a_pose_command_counts);
     return UNITY_END();
 }

@@ -394,6 +394,20 @@ static void a_memory_that_is_always_busy_does_not_hold_the_start(void) {
     assert_set(0);
 }
 
+/* Between the check of a set and its use memory may rot: the limits are asked again. */
+static void a_word_that_changes_after_its_check_is_not_used(void) {
+    restart();
+    save(1);
+    save(2);
+    parameter_store_load(&store);
+    for (int ticks = 0; ticks < 2 * SET_WORDS; ticks++)
+        parameter_store_tick(&store, &p);
+    bank_words(store.current)[4 + PARAMETER_ID_command_timeout_ms] = 0;
+    finish();
+    TEST_ASSERT_EQUAL(PARAMETER_STORE_CORRUPT, store.status);
+    assert_set(0);
+}
+
 int main(void) {
     UNITY_BEGIN();
     RUN_TEST(blank_store_gives_the_defaults);
@@ -416,5 +430,6 @@ int main(void) {
     RUN_TEST(a_count_that_does_not_fit_the_table_or_the_bank_is_rot);
     RUN_TEST(a_memory_that_does_not_take_words_is_told);
     RUN_TEST(a_memory_that_is_always_busy_does_not_hold_the_start);
+    RUN_TEST(a_word_that_changes_after_its_check_is_not_used);
     return UNITY_END();
 }

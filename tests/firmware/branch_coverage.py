@@ -3,7 +3,7 @@
 Compiles the firmware once with gcc's --coverage and links each test with it; prints the share of
 branches taken per file and every branch that no test takes. Exit status 1 below the limit.
 
-Example: python tests/firmware/coverage.py UNITY_FOLDER
+Example: python tests/firmware/branch_coverage.py UNITY_FOLDER
 """
 
 import json
@@ -39,7 +39,19 @@ def run_tests(folder: Path, unity: Path) -> None:
     run("gcc", "-O1", *flags, "-c", *PLANTS, unity / "unity.c", cwd=folder)
     others = sorted(set(folder.glob("*.o")) - set(objects))
     for test in sorted(HERE.glob("test_*.c")):
-        run("gcc", "-O1", "--coverage", *flags, test, *objects, *others, "-lm", "-o", "test", cwd=folder)
+        run(
+            "gcc",
+            "-O1",
+            "--coverage",
+            *flags,
+            test,
+            *objects,
+            *others,
+            "-lm",
+            "-o",
+            "test",
+            cwd=folder,
+        )
         run("./test", cwd=folder)
 
 
