@@ -76,10 +76,10 @@ class Chip:
                 self._found = True
                 self._send(0xAA)
             return
-        self._send(byte)
         self._bytes.append(byte)
         words = [high << 8 | low for high, low in zip(*[iter(self._bytes)] * 2, strict=False)]
         if len(words) >= 3 and len(self._bytes) % 2 == 0:
             self.memory[(words[0] + len(words) - 3) % 0x10000] = words[-1]
         if len(words) >= 2 and len(words) == 2 + words[1]:
             self.running = words[0]
+        self._send(byte)  # last: who has the echo may ask what the chip did
