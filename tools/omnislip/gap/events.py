@@ -39,7 +39,7 @@ OVER_LEVEL = 12.0
 EXPLAINED = 0.35
 """Share of the squared innovations of the horizon that the jump must take away."""
 LEAST_JUMP_M_S = 0.04
-"""Smaller jumps are what a seam in the floor or a wheel that spins up makes: no push to be named."""
+"""A seam in the floor or a wheel that spins up makes smaller jumps: no push to be named."""
 MOST_JUMP_M_S = 2.5
 MOST_MISFIT = 9.0
 """A jump that leaves errors three times their standard deviation is not what happened."""
