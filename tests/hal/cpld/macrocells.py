@@ -3,9 +3,9 @@
 yosys maps the Verilog to macrocells of CoolRunner-II, a younger family with the same macrocell: an
 OR of product terms, an XOR, a D or T flip-flop. This counts them as an XC95144XL has them: product
 terms belong to one macrocell, the clock comes from a global pin, an output that can be switched off
-takes one product term for it; and looks for a division into its function blocks. The limits are from
-memory of Xilinx' data sheets DS054 and DS056. Xilinx' fitter was not run: it also places pins and
-may combine terms differently.
+takes one product term for it; and looks for a division into its function blocks. The limits are
+from memory of Xilinx' data sheets DS054 and DS056. Xilinx' fitter was not run: it also places pins
+and may combine terms differently.
 
 Usage: python macrocells.py FOLDER_OF_REGISTERS_VH    (exit status 1 when it does not fit)
 """
