@@ -447,6 +447,30 @@ static void a_bridge_that_protects_itself_is_told_with_its_first_wheel(void) {
     }
 }
 
+/* Accelerating, a wheel that is told to slip turns faster than one that is told to roll. */
+static void rims_carry_slip_only_when_it_is_compensated(void) {
+    i16 target_q5[2];
+    for (i16 compensated = 0; compensated < 2; compensated++) {
+        start(compensated);
+        drive(1000, 0, 0, 20);
+        target_q5[compensated] = loop.wheel_target_rad_s_q5[2];
+    }
+    TEST_ASSERT_GREATER_THAN(target_q5[0] + 32, target_q5[1]);
+}
+
+static void a_fault_of_a_wheel_is_told_with_its_number(void) {
+    for (u16 wheel = 0; wheel < WHEEL_COUNT; wheel++) {
+        start(1);
+        drive(300, 0, 0, 20);
+        for (int ticks = 0; ticks < 3; ticks++) {
+            plant.encoder_errors = (uint16_t)(1U << wheel);
+            reference_plant_tick(&plant, &loop);
+        }
+        TEST_ASSERT_EQUAL(SUPERVISOR_FAULT_ENCODER_STEP, loop.telemetry.fault);
+        TEST_ASSERT_EQUAL_UINT16(wheel + 1, loop.telemetry.fault_wheel);
+    }
+}
+
 static void a_supply_beyond_the_format_counts_as_its_end(void) {
     plant.supply_v = 65.0;
     drive(300, 0, 0, 500);
@@ -507,6 +531,8 @@ int main(void) {
     RUN_TEST(garbage_from_outside_keeps_the_duty_within_its_limit);
     RUN_TEST(any_allowed_parameters_keep_the_duty_within_its_limit);
     RUN_TEST(a_bridge_that_protects_itself_is_told_with_its_first_wheel);
+    RUN_TEST(rims_carry_slip_only_when_it_is_compensated);
+    RUN_TEST(a_fault_of_a_wheel_is_told_with_its_number);
     RUN_TEST(a_supply_beyond_the_format_counts_as_its_end);
     RUN_TEST(each_number_of_a_pose_command_counts);
     return UNITY_END();
