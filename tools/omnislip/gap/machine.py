@@ -293,6 +293,9 @@ class Machine:
         sizes = [i for i, p in enumerate(own) if p["typical"] != 0]
         shapes = {i: p for i, p in enumerate(own) if p["typical"] == 0}
         starts = _shape_starts(entry["name"], {**shapes, **_infinite(own)})
+        if self.kind == "axis" and own[0]["name"] == "limit_a":  # those are in ampere
+            newton = parameters[0].scale / own[0]["typical"]
+            starts = tuple({i: size * newton for i, size in start.items()} for start in starts)
         return Candidate(entry["name"], wheel, tuple(parameters), tuple(sizes), starts)
 
     def _effect_parameter(self, effect: str, entry: dict, wheel: int | None) -> Parameter:
