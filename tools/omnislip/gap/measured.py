@@ -379,8 +379,8 @@ def _bam_extra(findings: Findings, data: Path) -> list[str]:
         "",
         "To compare with: 82.3 with Coulomb and viscous friction, 65.9 with load dependent "
         "friction. "
-        "The record that stays worst is in saturation for a quarter of its time: the limit takes "
-        "part of its error, the rest has no name here.",
+        "The record that stays worst is in saturation for a quarter of its time; what saturates "
+        "there these logs do not settle, and the rest of its error has no name here.",
         "",
     ]
 
