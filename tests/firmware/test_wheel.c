@@ -174,8 +174,30 @@ static void rollers_brake_against_the_motion(void) {
     TEST_ASSERT_INT16_WITHIN(1, 0, f.x_n_q6);
 }
 
+/* 2 N of dry friction act against the shaft, less on the ramp of +-4 rad/s about rest; what is not
+ * known to act there is slack. */
+static void dry_friction_acts_against_the_shaft_and_is_slack_at_rest(void) {
+    static const struct {
+        i16 shaft_rad_s_q5;
+        i16 friction_n_q8;
+        i16 slack_n_q8;
+    } cases[] = {{0, 0, 512}, {64, 256, 256}, {640, 512, 0}, {-64, -256, 256}, {-640, -512, 0}};
+    for (u16 i = 0; i < sizeof cases / sizeof cases[0]; i++) {
+        const i16 shaft_q5 = cases[i].shaft_rad_s_q5;
+        parameters dry, smooth;
+        parameters_set_defaults(&smooth);
+        dry = smooth;
+        parameters_set(&dry, PARAMETER_ID_coulomb_force_q8, 512);
+        TEST_ASSERT_EQUAL_INT32((i32)cases[i].friction_n_q8 * 2048,
+                                motor_steady_force_n_q19(&smooth, 500, shaft_q5) -
+                                    motor_steady_force_n_q19(&dry, 500, shaft_q5));
+        TEST_ASSERT_EQUAL_INT16(cases[i].slack_n_q8, motor_dry_slack_n_q8(&dry, shaft_q5));
+    }
+}
+
 int main(void) {
     UNITY_BEGIN();
+    RUN_TEST(dry_friction_acts_against_the_shaft_and_is_slack_at_rest);
     RUN_TEST(one_count_per_tick_is_3_1416_rad_s);
     RUN_TEST(wrap_of_the_counter_is_invisible_in_both_directions);
     RUN_TEST(no_speed_follows_from_the_first_counter_value);
