@@ -1,6 +1,7 @@
 #include "virtual_robot.h"
 
 #include <algorithm>
+#include <cmath>
 #include <stdexcept>
 #include <utility>
 
@@ -9,6 +10,7 @@ namespace {
 
 constexpr double kBytesPerTick = 115200.0 / 10.0 * kTick_s;
 constexpr std::size_t kReceiveBuffer = 64, kSendBuffer = 128;
+constexpr double kSupplyStep_v = 33.0 / 1024, kCurrentStep_a = 0.064;
 constexpr std::uint16_t kWriteTicks = 5; /* of a word of the EEPROM */
 
 VirtualRobot *robot_of(void *context) {
@@ -68,9 +70,9 @@ hal_host_plant VirtualRobot::hal(VirtualRobot &self) {
     hal.read_encoder_counts = [](void *context, std::uint16_t counts[4]) {
         robot_of(context)->body_.counts(counts);
     };
-    hal.read_supply_mv = [](void *context) { return robot_of(context)->body_.supply_mv(); };
+    hal.read_supply_mv = [](void *context) { return robot_of(context)->supply_mv_; };
     hal.read_currents_ma = [](void *context, std::int16_t current_ma[4]) {
-        robot_of(context)->body_.currents_ma(current_ma);
+        std::copy_n(robot_of(context)->current_ma_, 4, current_ma);
     };
     hal.write_duty = [](void *context, const std::int16_t duty_q15[4]) {
         constexpr std::int16_t safe[4] = {};
@@ -100,6 +102,18 @@ hal_host_plant VirtualRobot::hal(VirtualRobot &self) {
         hal_host_store_write(&robot_of(context)->store_, address, word);
     };
     return hal;
+}
+
+void VirtualRobot::measure() {
+    const auto shown = [this](double value, double step) {
+        return std::round(value / step + noise_(random_)) * step * 1e3;
+    };
+    supply_mv_ = static_cast<std::uint16_t>(
+        std::clamp(shown(body_.supply_pin_v(), kSupplyStep_v), 0.0, 65535.0));
+    for (std::size_t i = 0; i < 4; ++i) {
+        current_ma_[i] = static_cast<std::int16_t>(
+            std::clamp(shown(body_.current_a()[i], kCurrentStep_a), -32768.0, 32767.0));
+    }
 }
 
 std::uint16_t VirtualRobot::read_byte(std::uint16_t *byte) {
@@ -137,7 +151,7 @@ std::vector<std::uint8_t> VirtualRobot::advance(long ticks, const std::vector<st
     for (long k = 0; k < ticks; ++k) {
         const double time_s = static_cast<double>(tick_) * kTick_s;
         body_.refresh(time_s);
-        body_.measure_supply(0);
+        measure();
         robot_tick(&robot_);
         note_command();
         body_.hold_duty(time_s);

@@ -5,6 +5,9 @@
  * until the ones before it have passed. Buffers are those of hal/lf2407a/serial.c: a byte that
  * finds 64 unread is lost and counted. What the robot sends is returned when the line has delivered
  * it.
+ *
+ * Supply and currents have the steps of the board's converter, 32 mV and 64 mA (board/on_board.h),
+ * and noise of one step (standard deviation); the same in every run.
  */
 #ifndef OMNISLIP_SIM_VIRTUAL_ROBOT_H
 #define OMNISLIP_SIM_VIRTUAL_ROBOT_H
@@ -12,6 +15,7 @@
 #include <array>
 #include <cstdint>
 #include <deque>
+#include <random>
 #include <vector>
 
 #include "firmware/robot.h"
@@ -67,6 +71,7 @@ class VirtualRobot {
     std::uint16_t read_byte(std::uint16_t *byte);
     void deliver(std::vector<std::uint8_t> &delivered);
     void note_command();
+    void measure();
 
     const std::vector<UserTerm> terms_;
     const BoardSensors sensors_;
@@ -74,6 +79,10 @@ class VirtualRobot {
     hal_host_store store_ = {};
     robot robot_ = {};
     std::uint16_t bridges_on_ = 0;
+    std::mt19937 random_{1};
+    std::normal_distribution<double> noise_;
+    std::uint16_t supply_mv_ = 0;
+    std::int16_t current_ma_[4] = {};
     long tick_ = 0;
     std::deque<std::uint8_t> to_robot_, received_, waiting_;
     double credit_to_robot_ = 0.0, credit_from_robot_ = 0.0; /* bytes that the line may pass now */
