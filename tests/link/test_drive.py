@@ -135,13 +135,6 @@ def test_a_robot_that_is_heard_no_more_ends_the_drive():
     assert talk.fresh_status().fault == "COMMAND_TIMEOUT"  # it has stopped by itself
 
 
-def short_identification():
-    """The identification programme in 4.6 s."""
-    long = read_scenario(IDENTIFICATION)
-    commands = [entry | {"t_s": 0.45 * entry["t_s"]} for entry in long.commands]
-    return Scenario("short", 4.6, MODEL, commands, slip_compensation=False)
-
-
 def test_the_whole_circle(tmp_path):
     """A robot with a weak motor is driven and recorded over its line; the gap names the motor."""
     weak = tmp_path / "weak.toml"
@@ -154,7 +147,7 @@ def test_the_whole_circle(tmp_path):
     for number in range(3):
         recorder = Recorder(talk, 200)
         recorder.start()
-        drive(talk, short_identification())
+        drive(talk, read_scenario(IDENTIFICATION))
         log, account = recorder.finish(f"run_{number}")
         assert account.missing == 0
         logs.append(tmp_path / f"run_{number}.csv")
