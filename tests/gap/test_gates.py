@@ -312,7 +312,7 @@ def test_pushes_that_leave_no_run_to_hold_out_are_a_verdict(tmp_path, monkeypatc
         write_log(drive(path.stem, seed=k), path)
     write_model(MODEL, tmp_path / "robot.toml")
     pushes = [Impact("run_1", 0.5 * k, np.zeros(3), np.zeros(3)) for k in range(1, 18)]
-    monkeypatch.setattr(find, "_impacts", lambda *_: (None, pushes))
+    monkeypatch.setattr(find, "find_impacts", lambda *_: pushes)
     findings = find_gap(tmp_path / "robot.toml", logs, lambda _: None)
     assert findings.verdict == "insufficient_data"
     assert "too little is left" in findings.sentence

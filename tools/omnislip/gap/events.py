@@ -41,6 +41,8 @@ EXPLAINED = 0.35
 LEAST_JUMP_M_S = 0.04
 """A seam in the floor or a wheel that spins up makes smaller jumps: no push to be named."""
 MOST_JUMP_M_S = 2.5
+COMMAND_JUMP = 0.1
+"""Change of a duty from row to row after which wheels may break loose."""
 MOST_MISFIT = 9.0
 """A jump that leaves errors three times their standard deviation is not what happened."""
 APART_S = 0.3
@@ -92,10 +94,25 @@ def find_impacts(
                 row = pushes.likeliest_row(peak)
                 before = track.state.reshape(len(run.t_s), -1)[row - 1]
                 impact = _size_up(machine, run, row, values, noise, before, jump[row])
-                plausible = LEAST_JUMP_M_S <= impact.jump_m_s(machine) <= MOST_JUMP_M_S
+                least = max(LEAST_JUMP_M_S, _feigned_m_s(machine, run, row))
+                plausible = least <= impact.jump_m_s(machine) <= MOST_JUMP_M_S
                 if plausible and impact.misfit <= MOST_MISFIT:
                     impacts.append(impact)
     return impacts
+
+
+def _feigned_m_s(machine: Machine, run: Run, row: int) -> float:
+    """Return the jump of the body that a jump of the command beside the row may feign, or 0.
+
+    When within the row the wheels break loose or grip again the log does not tell: for up to a row
+    on either side the body is pulled with mu g, or is not.
+    """
+    beside = slice(max(row - 2, 0), row + 3)
+    if np.abs(np.diff(run.command[beside], axis=0)).max(initial=0.0) < COMMAND_JUMP:
+        return 0.0
+    values = machine.model.values
+    grip_m_s2 = values["contact.mu_drive"] * values["contact.gravity_m_s2"]
+    return float(2.0 * grip_m_s2 * np.diff(run.t_s[beside]).max(initial=0.0))
 
 
 def as_effect(impact: Impact) -> Effect:
