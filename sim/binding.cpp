@@ -560,7 +560,14 @@ nb::dict step_times_ns(const Numbers &parameters, const nb::list &effects,
     return result;
 }
 
+void limit_engine_threads(int count) {
+    require(count >= 1, "at least one thread is needed");
+    limit_threads(count);
+}
+
 void bind_replay(nb::module_ &m) {
+    m.def("limit_threads", &limit_engine_threads, "count"_a,
+          "Engines of this process start at most so many threads; without it one per core.");
     nb::class_<Recording>(m, "Recording").def_prop_ro("rows", [](const Recording &r) {
         return r.rows;
     });

@@ -114,6 +114,8 @@ double squared_change(const Recording &recording, int motors, std::size_t k, int
     return 0.5 * (into * into + out * out);
 }
 
+std::atomic<int> most_threads{std::max(1, static_cast<int>(std::thread::hardware_concurrency()))};
+
 /* Runs `work(task)` for task = 0..count-1 on all cores; `work` must not throw. */
 void in_parallel(int count, const std::function<void(int)> &work) {
     std::atomic<int> next{0};
@@ -121,7 +123,7 @@ void in_parallel(int count, const std::function<void(int)> &work) {
         for (int task = next++; task < count; task = next++)
             work(task);
     };
-    const int threads = std::min<int>(count, std::max(1u, std::thread::hardware_concurrency()));
+    const int threads = std::min<int>(count, most_threads);
     std::vector<std::thread> pool;
     for (int i = 1; i < threads; ++i)
         pool.emplace_back(worker);
@@ -218,6 +220,10 @@ Track track(const Kernel &kernel, const Recording &recording, const double *valu
         free.diagonal() += grown;
     }
     return result;
+}
+
+void limit_threads(int count) {
+    most_threads = count;
 }
 
 std::vector<Track> track_all(const Kernel &kernel, const std::vector<const Recording *> &recordings,

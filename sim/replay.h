@@ -118,6 +118,9 @@ std::unique_ptr<Kernel> make_kernel(int kind, int widest_lanes, const UserTermLi
 Track track(const Kernel &kernel, const Recording &recording, const double *values,
             const Noise &noise, double step_s, double window_s, bool keep_linear);
 
+/* The functions below start at most `count` >= 1 threads from now on; without it one per core. */
+void limit_threads(int count);
+
 /* One filter per recording, on all cores. */
 std::vector<Track> track_all(const Kernel &kernel, const std::vector<const Recording *> &recordings,
                              const double *values, const Noise &noise, double step_s,

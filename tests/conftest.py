@@ -1,7 +1,35 @@
-"""Settings of all Python tests."""
+"""Settings and clusters of all Python tests."""
 
+import os
+import signal
+
+import distributed
+import psutil
+import pytest
 from hypothesis import settings
 
 # No deadline: the machine may be busy. The same examples every time: a result can be repeated.
 settings.register_profile("omnislip", deadline=None, derandomize=True)
 settings.load_profile("omnislip")
+
+
+@pytest.fixture(scope="session")
+def scheduler():
+    """Address of a cluster that somebody else has started."""
+    cluster = distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0"
+    )
+    with cluster:
+        yield cluster.scheduler_address
+
+
+@pytest.fixture
+def kill_a_worker():
+    """Kill one process of the cluster that run_cases has started here."""
+
+    def kill() -> None:
+        below = psutil.Process().children(recursive=True)
+        workers = [process for process in below if "spawn_main" in " ".join(process.cmdline())]
+        os.kill(workers[-1].pid, signal.SIGKILL)
+
+    return kill

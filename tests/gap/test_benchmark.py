@@ -3,12 +3,13 @@
 import json
 from itertools import pairwise
 
+import pandas as pd
 import pytest
-from axis_bench import silent
 from hypothesis import given
 from hypothesis import strategies as st
 from omnislip.gap import benchmark
 from omnislip.gap.benchmark import (
+    RESULTS,
     SIZES,
     Task,
     draw_confusion,
@@ -136,8 +137,44 @@ def test_wilson_interval_holds_the_share_and_stays_in_bounds(hits, misses):
         assert all(a <= b + 1e-12 for a, b in pairwise(edges))
 
 
-def test_finished_cases_are_read_back_and_summed_up(tmp_path, monkeypatch):
-    monkeypatch.setattr(benchmark, "find_gap", lambda *_: pytest.fail("was finished"))
+def short(kind, name, seed, effects=()):
+    """Return a task of two runs, too short to be answered: cheap."""
+    return Task(name, kind, TruthCase(seed=seed, effects=effects, runs=2, run_duration_s=1.0))
+
+
+def without_times(rows):
+    return [row | {"time_s": None} for row in rows]
+
+
+def test_results_are_the_same_on_a_cluster_and_when_a_worker_dies(
+    tmp_path, scheduler, kill_a_worker
+):
+    def kill_early(done, _total):
+        if done == 1:
+            kill_a_worker()
+
+    payload = HiddenEffect("payload", {"mass_kg": 5.0}).as_dict()
+    chosen = [short("null", f"null_{seed}", seed) for seed in range(3)]
+    chosen.append(short("single", "single_payload", 3, (payload,)))
+    local, cluster = tmp_path / "local", tmp_path / "cluster"
+    rows = run_benchmark(local, chosen, None, kill_early)
+    assert without_times(rows) == without_times(
+        run_benchmark(cluster, chosen, scheduler, lambda *_: None)
+    )
+    assert [(row["name"], row["verdict"], row["hidden"]) for row in rows] == [
+        *((f"null_{seed}", "insufficient_data", []) for seed in range(3)),
+        ("single_payload", "insufficient_data", ["payload"]),
+    ]
+    assert list(pd.read_parquet(local / RESULTS)["time_s"]) == [row["time_s"] for row in rows]
+    for name in ("run_01.csv", "run_02.csv", "robot.toml", "truth.json", "gap.json"):
+        path = f"single_payload/{name}"
+        assert (local / path).read_bytes() == (cluster / path).read_bytes()
+    assert json.loads((local / "single_payload" / "result.json").read_text()) == rows[3]
+    # The same rows with the same times, with no scheduler that answers: nothing is computed again.
+    assert run_benchmark(local, chosen, "tcp://127.0.0.1:1", lambda *_: None) == rows
+
+
+def test_rows_are_summed_up_and_drawn(tmp_path):
     row = score(truth(LOAD), answer(LOAD)) | {
         "name": "one",
         "kind": "single",
@@ -146,12 +183,8 @@ def test_finished_cases_are_read_back_and_summed_up(tmp_path, monkeypatch):
         "gap_closed": 0.9,
         "gap_closed_oracle": 1.0,
     }
-    (tmp_path / "one").mkdir()
-    (tmp_path / "one" / "result.json").write_text(json.dumps(row))
-    rows = run_benchmark(tmp_path, [Task("one", "single", TruthCase(seed=1))], silent)
-    assert rows == [json.loads(json.dumps(row))]
-    figures = summary(rows)
+    figures = summary([row])
     assert figures["single: first name right"]["value"] == 1.0
     assert figures["gap closed against the oracle, median"]["value"] == pytest.approx(0.9)
-    draw_confusion(rows, tmp_path / "confusion.png")
+    draw_confusion([row], tmp_path / "confusion.png")
     assert (tmp_path / "confusion.png").stat().st_size > 1000

@@ -4,7 +4,6 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-import distributed
 import pytest
 from omnislip import cli
 from omnislip.model_file import NOMINAL_ROBOT
@@ -48,16 +47,6 @@ def write(tmp_path):
         return path
 
     return write_file
-
-
-@pytest.fixture(scope="session")
-def scheduler():
-    """Address of a cluster that somebody else has started."""
-    cluster = distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0"
-    )
-    with cluster:
-        yield cluster.scheduler_address
 
 
 @pytest.fixture

@@ -1,13 +1,10 @@
 """Sweeps: which cases a file means, what each of them simulates, and the same results anywhere."""
 
-import os
-import signal
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
-import psutil
 import pytest
 from omnislip import sweep as sweep_module
 from omnislip.compute import JOURNAL
@@ -183,17 +180,13 @@ def contents(out: Path) -> dict[str, bytes]:
     return {str(path.relative_to(out)): path.read_bytes() for path in out.rglob("*.parquet")}
 
 
-def kill_a_worker(done: int, _total: int) -> None:
-    """Kill one process of the local cluster in the middle of the sweep."""
-    if done == 3:
-        below = psutil.Process().children(recursive=True)
-        workers = [process for process in below if "spawn_main" in " ".join(process.cmdline())]
-        os.kill(workers[-1].pid, signal.SIGKILL)
-
-
 def test_local_cluster_killed_and_resumed_sweeps_give_the_same_bytes(
-    scenario, write, tmp_path, scheduler
+    scenario, write, tmp_path, scheduler, kill_a_worker
 ):
+    def kill_in_the_middle(done: int, _total: int) -> None:
+        if done == 3:
+            kill_a_worker()
+
     sweep = read_sweep(write("sweep.toml", GRID))
     folders = [tmp_path / name for name in ("local", "cluster", "killed", "resumed")]
     run_sweep(scenario, sweep, folders[0], None, quiet)
@@ -201,7 +194,7 @@ def test_local_cluster_killed_and_resumed_sweeps_give_the_same_bytes(
     part = replace(sweep, cases=sweep.cases[:5])
     run_sweep(scenario, part, folders[3], scheduler, quiet)
     run_sweep(scenario, sweep, folders[3], scheduler, quiet)
-    run_sweep(scenario, sweep, folders[2], None, kill_a_worker)
+    run_sweep(scenario, sweep, folders[2], None, kill_in_the_middle)
     expected = contents(folders[0])
     assert len(expected) == 13
     for folder in folders[1:]:

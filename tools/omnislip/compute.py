@@ -3,10 +3,10 @@
     outcomes = run_cases(function, {"case_1": {...}, "case_2": {...}}, folder)
 
 `function` is a function of a module that the workers can import; it gets the value of one case,
-which JSON can hold, and returns an Outcome. What is finished is never lost: the files of a case are
-written, then one line to FOLDER/finished.jsonl. A line counts as long as the case, the function and
-the program are what they were; the next call computes only what has none. Workers that die are
-replaced, or replace themselves, and their cases run elsewhere.
+which JSON can hold, and returns an Outcome; it has one core. What is finished is never lost: the
+files of a case are written, then one line to FOLDER/finished.jsonl. A line counts as long as the
+case, the function and the program are what they were; the next call computes only what has none.
+Workers that die are replaced, or replace themselves, and their cases run elsewhere.
 """
 
 import fcntl
@@ -169,6 +169,7 @@ def _run_case(function: Callable[[Any], Outcome], case: object, version: str) ->
             f"worker {distributed.get_worker().address} runs another version of omnislip; "
             "install on all machines the one you start from"
         )
+    _core.limit_threads(1)  # the workers already fill the cores
     return function(case)
 
 

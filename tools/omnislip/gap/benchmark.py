@@ -1,8 +1,10 @@
 """`omnislip gap benchmark`: hide effects with the independent generator, see what is found.
 
-A case is a data set of 8 runs of 6 s at 200 Hz. Every case has its folder with the logs, the truth
-and result.json; a second call reads finished results back. Cases of the development set may be
-looked at and learned from; those of the sealed set have other seeds and are for the final figure.
+A case is a data set of 8 runs of 6 s at 200 Hz. Cases run side by side, each on one thread, and a
+second call computes only what is missing (compute.py). Every case has its folder with the logs, the
+truth, gap.json and result.json; results.parquet has one row per case. Cases of the development set
+may be looked at and learned from; those of the sealed set have other seeds and are for the final
+figure.
 
 How strongly a data set shows what is hidden in it says the oracle: it knows which effects are
 hidden and fits their sizes. lambda = fall of the objective (inference.py) from the refitted keys to
@@ -13,16 +15,19 @@ A friction curve of the truth that is not the believed arctangent is an effect o
 """
 
 import json
+import tempfile
 import time
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from matplotlib.figure import Figure
 
-from omnislip.files import replace_file, write_text
+from omnislip.compute import Outcome, run_cases
+from omnislip.files import replace_file
 from omnislip.gap.find import Findings, find_gap, to_json
 from omnislip.gap.inference import Data, Fit, Hypothesis, fit, weigh
 from omnislip.gap.machine import Candidate, Machine
@@ -34,6 +39,7 @@ from omnislip.gap.truth_effects import EFFECTS, UNKNOWN_EFFECTS
 
 CURVE_EFFECT = "contact_shape"
 SEEDS = {"development": 1_000, "sealed": 5_000_000}
+RESULTS = "results.parquet"
 WIRING_EFFECTS = ("wheel_permutation", "encoder_sign", "motor_sign")
 VISIBLE = 25.0
 IN_TIME_S = 0.015
@@ -109,31 +115,46 @@ def _wiring_case(seed: int, rng: np.random.Generator, name: str) -> TruthCase:
 
 
 def run_benchmark(
-    out: Path, chosen: Sequence[Task], progress: Callable[[str], None]
+    out: Path,
+    chosen: Sequence[Task],
+    scheduler: str | None,
+    progress: Callable[[int, int], None],
 ) -> list[dict[str, Any]]:
-    """Return one row per case; finished cases are read back from `out`."""
-    rows = []
-    for number, task in enumerate(chosen, 1):
-        result = out / task.name / "result.json"
-        if not result.exists():
-            prefix = f"{number} of {len(chosen)}, {task.name}: "
-            row = _solve(task, out / task.name, lambda text, p=prefix: progress(p + text))
-            write_text(result, json.dumps(row, indent=1))
-        rows.append(json.loads(result.read_text()))
+    """Return one row per case, and write them all to `out`.
+
+    `scheduler`, `progress`: as in run_cases. But for the time it took, a row is the same wherever
+    its case was computed.
+    """
+    rows = run_cases(solve, {task.name: asdict(task) for task in chosen}, out, scheduler, progress)
+    with replace_file(out / RESULTS) as temporary:
+        pd.DataFrame(rows).to_parquet(temporary, index=False)
     return rows
 
 
-def _solve(task: Task, folder: Path, progress: Callable[[str], None]) -> dict[str, Any]:
-    progress("making logs")
-    truth = write_case(task.case, folder)
-    begin = time.monotonic()
-    findings = find_gap(folder / "robot.toml", sorted(folder.glob("run_*.csv")), progress)
-    seconds = time.monotonic() - begin
+def solve(case: dict[str, Any]) -> Outcome:
+    """Make and solve one of the tasks, given as a dict; the files of its folder, and its row."""
+    task = Task(**case | {"case": TruthCase(**case["case"])})
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        truth = write_case(task.case, folder)
+        begin = time.monotonic()
+        findings = find_gap(folder / "robot.toml", sorted(folder.glob("run_*.csv")), _silent)
+        seconds = time.monotonic() - begin
+        files = {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
     found = to_json(findings)
-    write_text(folder / "gap.json", json.dumps(found, indent=1))
-    progress("asking the oracle")
+    found["inputs_sha256"] = {Path(p).name: mark for p, mark in found["inputs_sha256"].items()}
     row = score(truth, found) | {"name": task.name, "kind": task.kind, "time_s": seconds}
-    return row | _ask_oracle(findings, truth)
+    row |= _ask_oracle(findings, truth)
+    files |= {"gap.json": _json(found), "result.json": _json(row)}
+    return Outcome(row, {f"{task.name}/{name}": content for name, content in files.items()})
+
+
+def _silent(_text: str) -> None:
+    pass
+
+
+def _json(value: dict[str, Any]) -> bytes:
+    return json.dumps(value, indent=1).encode()
 
 
 def score(truth: dict[str, Any], found: dict[str, Any]) -> dict[str, Any]:

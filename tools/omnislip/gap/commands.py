@@ -139,17 +139,31 @@ def benchmark(
         list[str] | None,
         typer.Option("--kind", help="Class of cases, e.g. single or null; repeat. Default: all."),
     ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(help="Dask scheduler, tcp://HOST:8786; default: this machine."),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Hide effects in logs of an independent simulator and see whether they are found."""
-    from omnislip.gap.benchmark import SIZES, draw_confusion, run_benchmark, summary, tasks
+    from omnislip.gap.benchmark import (
+        RESULTS,
+        SIZES,
+        draw_confusion,
+        run_benchmark,
+        summary,
+        tasks,
+    )
 
     check_folder(out)
     for kind in kinds or ():
         if kind not in SIZES[size.value]:
             raise InputError(f"--kind {kind}: is one of {', '.join(SIZES[size.value])}")
+    chosen = tasks(which.value, size.value, kinds or ())
     with progress() as say:
-        rows = run_benchmark(out, tasks(which.value, size.value, kinds or ()), say)
+        rows = run_benchmark(
+            out, chosen, scheduler, lambda done, total: say(f"{done} of {total} cases solved")
+        )
     figures = summary(rows)
     draw_confusion(rows, out / "confusion.png")
     if as_json:
@@ -166,7 +180,7 @@ def benchmark(
         cases = f"{one['hits']} of {one['of']}" if "hits" in one else str(one["of"])
         table.add_row(name, f"{one['value']:.3f}", interval, cases)
     Console().print(table)
-    print(f"hidden against named: {out / 'confusion.png'}")
+    print(f"hidden against named: {out / 'confusion.png'}   all rows: {out / RESULTS}")
 
 
 def _print_cases(rows: list[dict]) -> None:
