@@ -9,8 +9,8 @@ contact_slip contact_slip_from_force(const parameters *p, i16 force_n_q8) {
     const i32 share_q15 =
         fixed_shift_right((i32)force_n_q8 * PARAMETER_GET(p, grip_inverse_q17), 10);
     const i16 limited_q15 = fixed_clamp_i16(share_q15, PARAMETER_GET(p, slip_saturation_q15));
-    const i16 tangent_q10 = fixed_tangent_quarter_q10(limited_q15);
-    const i16 cosine_q15 = fixed_cosine_q15((u16)fixed_shift_right(limited_q15, 1));
+    i16 cosine_q15;
+    const i16 tangent_q10 = fixed_tangent_quarter_q10(limited_q15, &cosine_q15);
     /* Q10 * Q18 = Q28 -> Q13 */
     result.slip_m_s_q13 = fixed_saturate_i16(
         fixed_shift_right((i32)tangent_q10 * PARAMETER_GET(p, slip_per_tangent_q18), 15));

@@ -54,13 +54,14 @@ static void locate(control_loop *loop, const measurement *now);
 static void supervise(control_loop *loop, const measurement *now);
 static void rest(control_loop *loop);
 static void drive_duty(control_loop *loop);
-static kinematics_force advance_target(control_loop *loop);
-static kinematics_velocity demand_velocity(control_loop *loop);
+static kinematics_force advance_target(control_loop *loop, odometry_heading heading);
+static kinematics_velocity demand_velocity(control_loop *loop, odometry_heading heading);
 static void drive_wheels(control_loop *loop, const kinematics_velocity *body,
                          const kinematics_force *inertia, i16 supply_v_q9);
 
 void control_loop_tick(control_loop *loop) {
     measurement now;
+    odometry_heading heading;
     kinematics_velocity body;
     kinematics_force inertia;
 
@@ -74,8 +75,9 @@ void control_loop_tick(control_loop *loop) {
     } else if (loop->telemetry.mode == CONTROL_MODE_DUTY) {
         drive_duty(loop);
     } else {
-        inertia = advance_target(loop);
-        body = demand_velocity(loop);
+        heading = odometry_heading_of(odometry_binary_angle(loop->telemetry.pose.theta_mrad_q13));
+        inertia = advance_target(loop, heading);
+        body = demand_velocity(loop, heading);
         drive_wheels(loop, &body, &inertia, now.supply_v_q9);
     }
     hal_write_duty(loop->telemetry.duty_q15);
@@ -237,15 +239,14 @@ static void report_limit(control_loop *loop, control_limit limit, u16 wheel) {
 }
 
 /* Keeps a change of one tick within the grip. */
-static void limit_to_grip(control_loop *loop, u16 heading, traction_change *change) {
+static void limit_to_grip(control_loop *loop, odometry_heading heading, traction_change *change) {
     const u16 wheel = traction_limit(loop->settings, heading, change);
     if (wheel != 0)
         report_limit(loop, CONTROL_LIMIT_TRACTION, wheel);
 }
 
 /* Advances the target; returns the force that its acceleration takes, in the body frame. */
-static kinematics_force advance_target(control_loop *loop) {
-    const u16 heading = odometry_binary_angle(loop->telemetry.pose.theta_mrad_q13);
+static kinematics_force advance_target(control_loop *loop, odometry_heading heading) {
     traction_change change = loop->target.velocity;
     u16 axis;
     if (loop->telemetry.mode == CONTROL_MODE_POSE) {
@@ -288,8 +289,7 @@ static void wanted_velocity(const control_loop *loop, traction_change *wanted) {
 }
 
 /* Velocity of the target corrected by the pose error, in the body frame. */
-static kinematics_velocity demand_velocity(control_loop *loop) {
-    const u16 heading = odometry_binary_angle(loop->telemetry.pose.theta_mrad_q13);
+static kinematics_velocity demand_velocity(control_loop *loop, odometry_heading heading) {
     traction_change change;
     kinematics_velocity body;
     u16 axis;
@@ -304,7 +304,7 @@ static kinematics_velocity demand_velocity(control_loop *loop) {
     body.x_m_s_q13 = fixed_saturate_i16(fixed_shift_right(loop->demand.axis_q22[0], 9));
     body.y_m_s_q13 = fixed_saturate_i16(fixed_shift_right(loop->demand.axis_q22[1], 9));
     body.omega_rad_s_q11 = fixed_saturate_i16(fixed_shift_right(loop->demand.axis_q22[2], 11));
-    odometry_rotate((u16)(0U - heading), &body.x_m_s_q13, &body.y_m_s_q13);
+    odometry_world_to_body(heading, &body.x_m_s_q13, &body.y_m_s_q13);
     return body;
 }
 

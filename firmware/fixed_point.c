@@ -48,8 +48,9 @@ i32 fixed_subtract_i32(i32 a, i32 b) {
 }
 
 i32 fixed_shift_right(i32 value, u16 shift) {
-    /* The last bit shifted out decides; value + half could overflow. */
-    return (value >> shift) + ((value >> (shift - 1)) & 1);
+    /* The last bit shifted out decides; value + half could overflow, twice - once cannot. */
+    const i32 twice = value >> (shift - 1);
+    return twice - (twice >> 1);
 }
 
 i32 fixed_shift_left(i32 value, u16 shift) {
@@ -74,11 +75,14 @@ i32 fixed_multiply_i32_q15(i32 a, i16 b_q15) {
 }
 
 i32 fixed_divide(i32 numerator, u16 denominator, u16 shift) {
-    i32 quotient, remainder;
+    i32 quotient = 0;
+    i32 remainder = numerator;
     if (denominator == 0)
         return numerator < 0 ? (i32)I32_MIN : (i32)I32_MAX;
-    quotient = numerator / (i32)denominator;
-    remainder = numerator % (i32)denominator;
+    if (numerator >= (i32)denominator || numerator <= -(i32)denominator) {
+        quotient = numerator / (i32)denominator;
+        remainder = numerator % (i32)denominator;
+    }
     /* remainder < 2^16, so remainder * 2^15 fits; its sign is that of the numerator. */
     return fixed_add_i32(fixed_shift_left(quotient, shift),
                          remainder * ((i32)1 << shift) / (i32)denominator);
@@ -106,13 +110,13 @@ i16 fixed_cosine_q15(u16 angle) {
     return fixed_sine_q15((u16)(angle + QUARTER_TURN));
 }
 
-i16 fixed_tangent_quarter_q10(i16 x_q15) {
+i16 fixed_tangent_quarter_q10(i16 x_q15, i16 *cosine_q15) {
     const u16 angle = (u16)fixed_shift_right(x_q15, 1); /* a quarter turn is 2^14 */
-    const i16 cosine_q15 = fixed_cosine_q15(angle);
-    if (cosine_q15 <= 0)
+    *cosine_q15 = fixed_cosine_q15(angle);
+    if (*cosine_q15 <= 0)
         return (i16)(x_q15 < 0 ? -I16_MAX : I16_MAX);
     /* Q15 / Q15 * 2^10 -> Q10 */
-    return fixed_clamp_i16(fixed_divide(fixed_sine_q15(angle), (u16)cosine_q15, 10), I16_MAX);
+    return fixed_clamp_i16(fixed_divide(fixed_sine_q15(angle), (u16)*cosine_q15, 10), I16_MAX);
 }
 
 /* atan(r) for 0 <= r <= 1, r in Q15, as an angle of full turn 65536: Abramowitz and Stegun 4.4.47

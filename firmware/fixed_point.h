@@ -43,8 +43,8 @@ i32 fixed_divide(i32 numerator, u16 denominator, u16 shift);
 
 i16 fixed_sine_q15(u16 angle);
 i16 fixed_cosine_q15(u16 angle);
-/* tan(pi/2 * x), saturated to +-32. */
-i16 fixed_tangent_quarter_q10(i16 x_q15);
+/* tan(pi/2 * x), saturated to +-32, and cos(pi/2 * x). */
+i16 fixed_tangent_quarter_q10(i16 x_q15, i16 *cosine_q15);
 /* Angle of the vector (x, y), full turn 65536; 0 for the zero vector. */
 i16 fixed_atan2(i32 y, i32 x);
 

@@ -19,14 +19,29 @@ u16 odometry_binary_angle(i32 angle_mrad_q13) {
     return (u16)(fixed_shift_right(angle_q9, 9) & 0xFFFFL);
 }
 
-void odometry_rotate(u16 angle, i16 *x, i16 *y) {
-    const i16 cosine_q15 = fixed_cosine_q15(angle);
-    const i16 sine_q15 = fixed_sine_q15(angle);
+odometry_heading odometry_heading_of(u16 angle) {
+    odometry_heading heading;
+    heading.cosine_q15 = fixed_cosine_q15(angle);
+    heading.sine_q15 = fixed_sine_q15(angle);
+    return heading;
+}
+
+void odometry_body_to_world(odometry_heading heading, i16 *x, i16 *y) {
     /* Qn * Q15 -> Qn */
-    const i32 turned_x = fixed_subtract_i32((i32)cosine_q15 * *x, (i32)sine_q15 * *y);
-    const i32 turned_y = fixed_add_i32((i32)sine_q15 * *x, (i32)cosine_q15 * *y);
+    const i32 turned_x =
+        fixed_subtract_i32((i32)heading.cosine_q15 * *x, (i32)heading.sine_q15 * *y);
+    const i32 turned_y = fixed_add_i32((i32)heading.sine_q15 * *x, (i32)heading.cosine_q15 * *y);
     *x = fixed_saturate_i16(fixed_shift_right(turned_x, 15));
     *y = fixed_saturate_i16(fixed_shift_right(turned_y, 15));
+}
+
+void odometry_world_to_body(odometry_heading heading, i16 *x, i16 *y) {
+    heading.sine_q15 = (i16)-heading.sine_q15; /* never -1: fixed_sine_q15 is odd */
+    odometry_body_to_world(heading, x, y);
+}
+
+void odometry_rotate(u16 angle, i16 *x, i16 *y) {
+    odometry_body_to_world(odometry_heading_of(angle), x, y);
 }
 
 void odometry_step(odometry_pose *pose, const kinematics_velocity *body) {

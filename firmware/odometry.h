@@ -33,8 +33,18 @@ void odometry_step(odometry_pose *pose, const kinematics_velocity *body);
 i32 odometry_wrap_mrad_q13(i32 angle_mrad_q13);
 /* The angle with a full turn of 65536. */
 u16 odometry_binary_angle(i32 angle_mrad_q13);
-/* (x, y) turned by +angle; body to world for angle = theta, world to body for angle = -theta. */
+/* (x, y) turned by +angle: from the body to the world for angle = theta. */
 void odometry_rotate(u16 angle, i16 *x, i16 *y);
+
+/* A heading by which several vectors are turned. */
+typedef struct {
+    i16 cosine_q15;
+    i16 sine_q15;
+} odometry_heading;
+
+odometry_heading odometry_heading_of(u16 angle);
+void odometry_body_to_world(odometry_heading heading, i16 *x, i16 *y);
+void odometry_world_to_body(odometry_heading heading, i16 *x, i16 *y);
 
 #ifdef __cplusplus
 }

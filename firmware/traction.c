@@ -2,7 +2,6 @@
 #include "firmware/traction.h"
 
 #include "firmware/fixed_point.h"
-#include "firmware/odometry.h"
 
 #define LINEAR_CHANGE_LIMIT_Q22 130000L  /* 31 m/s2 for 1 ms */
 #define ANGULAR_CHANGE_LIMIT_Q22 530000L /* 126 rad/s2 for 1 ms */
@@ -19,14 +18,14 @@ static i16 angular_acceleration_q8(i32 change_q22) {
         fixed_shift_right(fixed_clamp_i32(change_q22, ANGULAR_CHANGE_LIMIT_Q22) * 125, 11));
 }
 
-kinematics_force traction_inertia_force(const parameters *p, u16 heading,
+kinematics_force traction_inertia_force(const parameters *p, odometry_heading heading,
                                         const traction_change *change) {
     i16 x_q10 = acceleration_q10(change->axis_q22[0]);
     i16 y_q10 = acceleration_q10(change->axis_q22[1]);
     const i16 turning_q8 = angular_acceleration_q8(change->axis_q22[2]);
     const i16 mass_q8 = PARAMETER_GET(p, mass_q8);
     kinematics_force force;
-    odometry_rotate((u16)(0U - heading), &x_q10, &y_q10);
+    odometry_world_to_body(heading, &x_q10, &y_q10);
     force.x_n_q6 = fixed_saturate_i16(fixed_shift_right((i32)x_q10 * mass_q8, 12)); /* Q18 -> Q6 */
     force.y_n_q6 = fixed_saturate_i16(fixed_shift_right((i32)y_q10 * mass_q8, 12)); /* Q18 -> Q6 */
     force.torque_n_m_q8 = fixed_saturate_i16(
@@ -115,7 +114,7 @@ static u16 most_loaded(const i16 force_n_q8[WHEEL_COUNT], u16 *largest_q8) {
     return wheel;
 }
 
-u16 traction_limit(const parameters *p, u16 heading, traction_change *change) {
+u16 traction_limit(const parameters *p, odometry_heading heading, traction_change *change) {
     const u16 limit_q8 = (u16)PARAMETER_GET(p, traction_limit_q8);
     const kinematics_force force = traction_inertia_force(p, heading, change);
     i16 force_n_q8[WHEEL_COUNT];

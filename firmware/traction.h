@@ -18,6 +18,7 @@
 #define FIRMWARE_TRACTION_H
 
 #include "firmware/kinematics.h"
+#include "firmware/odometry.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -28,16 +29,16 @@ typedef struct {
     i32 axis_q22[3];
 } traction_change;
 
-/* M a of the velocity change of one tick, in the body frame of a robot with this heading (full turn
- * 65536). Changes beyond 31 m/s2 and 127 rad/s2 are taken as that. */
-kinematics_force traction_inertia_force(const parameters *p, u16 heading,
+/* M a of the velocity change of one tick, in the body frame of a robot with this heading.
+ * Changes beyond 31 m/s2 and 127 rad/s2 are taken as that. */
+kinematics_force traction_inertia_force(const parameters *p, odometry_heading heading,
                                         const traction_change *change);
 /* Forces of the wheels that push the body with this force, spread as evenly as possible. */
 void traction_wheel_forces(const parameters *p, const kinematics_force *force,
                            i16 force_n_q8[WHEEL_COUNT]);
 /* Scales the change of one tick; returns the number (1..4) of the wheel that the
  * demand loads most before it is spread, or 0 when it fits. */
-u16 traction_limit(const parameters *p, u16 heading, traction_change *change);
+u16 traction_limit(const parameters *p, odometry_heading heading, traction_change *change);
 
 #ifdef __cplusplus
 }

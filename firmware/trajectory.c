@@ -406,12 +406,12 @@ static void limit_acceleration(const parameters *p, traction_change *change) {
 }
 
 u16 trajectory_step_velocity(trajectory *t, const parameters *p, const kinematics_velocity *body) {
-    const u16 heading = odometry_binary_angle(t->position_q13[2]);
+    const odometry_heading heading = odometry_heading_of(odometry_binary_angle(t->position_q13[2]));
     kinematics_velocity world = *body;
     traction_change change;
     u16 limited, axis;
     limit_speed(p, &world);
-    odometry_rotate(heading, &world.x_m_s_q13, &world.y_m_s_q13);
+    odometry_body_to_world(heading, &world.x_m_s_q13, &world.y_m_s_q13);
     set_velocity(&t->goal_velocity, &world);
     for (axis = 0; axis < 3; axis++) {
         change.axis_q22[axis] =

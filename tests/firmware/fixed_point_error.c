@@ -83,7 +83,9 @@ static void trigonometry(void) {
     }
     for (long x = -31457; x <= 31457; x++) {
         const double exact = tan(REFERENCE_PI / 2.0 * (double)x / 32768.0) * 1024.0;
-        keep_largest(&tangent, fixed_tangent_quarter_q10((i16)x) / (1.0 + fabs(exact) / 1024.0),
+        i16 cosine_q15;
+        keep_largest(&tangent,
+                     fixed_tangent_quarter_q10((i16)x, &cosine_q15) / (1.0 + fabs(exact) / 1024.0),
                      exact / (1.0 + fabs(exact) / 1024.0));
     }
     report("fixed_sine_q15", "all", sine, 2.0);

@@ -58,9 +58,12 @@ static void sine_has_exact_quarters_and_symmetry(void) {
 }
 
 static void tangent_saturates_at_the_quarter_turn(void) {
-    TEST_ASSERT_EQUAL_INT(I16_MAX, fixed_tangent_quarter_q10(I16_MAX));
-    TEST_ASSERT_EQUAL_INT(-I16_MAX, fixed_tangent_quarter_q10(I16_MIN));
-    TEST_ASSERT_EQUAL_INT(1024, fixed_tangent_quarter_q10(16384));
+    i16 cosine_q15;
+    TEST_ASSERT_EQUAL_INT(I16_MAX, fixed_tangent_quarter_q10(I16_MAX, &cosine_q15));
+    TEST_ASSERT_EQUAL_INT(-I16_MAX, fixed_tangent_quarter_q10(I16_MIN, &cosine_q15));
+    TEST_ASSERT_EQUAL_INT(0, cosine_q15);
+    TEST_ASSERT_EQUAL_INT(1024, fixed_tangent_quarter_q10(16384, &cosine_q15));
+    TEST_ASSERT_EQUAL_INT(fixed_cosine_q15(8192), cosine_q15);
 }
 
 static void arc_tangent_knows_the_quadrants(void) {

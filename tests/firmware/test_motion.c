@@ -70,19 +70,30 @@ static void the_position_saturates_instead_of_wrapping(void) {
     TEST_ASSERT_EQUAL_INT32(I32_MAX, pose.x_mm_q13);
 }
 
+static void to_the_body_is_a_turn_by_the_negative_heading(void) {
+    for (unsigned angle = 0; angle < 65536; angle++) {
+        i16 x = 20000, y = -9000, turned_x = x, turned_y = y;
+        odometry_world_to_body(odometry_heading_of((u16)angle), &x, &y);
+        odometry_rotate((u16)(65536 - angle), &turned_x, &turned_y);
+        TEST_ASSERT_EQUAL_INT(turned_x, x);
+        TEST_ASSERT_EQUAL_INT(turned_y, y);
+    }
+}
+
 /* ---- traction ---- */
 
 static void a_change_within_the_grip_passes_unchanged(void) {
     /* 2 m/s2 forward: 20 N per wheel, below the limit of 20.6 N */
     traction_change change = {{8389, 0, 0}};
-    TEST_ASSERT_EQUAL_UINT(0, traction_limit(&p, 0, &change));
+    TEST_ASSERT_EQUAL_UINT(0, traction_limit(&p, odometry_heading_of(0), &change));
     TEST_ASSERT_EQUAL_INT32(8389, change.axis_q22[0]);
 }
 
 static void a_change_beyond_the_grip_keeps_its_direction(void) {
     for (unsigned heading = 0; heading < 65536; heading += 999) {
         traction_change change = {{40000, -20000, 10000}};
-        TEST_ASSERT_NOT_EQUAL_UINT(0, traction_limit(&p, (u16)heading, &change));
+        TEST_ASSERT_NOT_EQUAL_UINT(0,
+                                   traction_limit(&p, odometry_heading_of((u16)heading), &change));
         TEST_ASSERT_INT32_WITHIN(2, -change.axis_q22[0] / 2, change.axis_q22[1]);
         TEST_ASSERT_INT32_WITHIN(2, change.axis_q22[0] / 4, change.axis_q22[2]);
         TEST_ASSERT_GREATER_THAN_INT32(1000, change.axis_q22[0]);
@@ -94,8 +105,8 @@ static void the_limited_force_is_the_limit(void) {
     kinematics_force force;
     i16 wheel[4];
     int largest = 0;
-    traction_limit(&p, 5000, &change);
-    force = traction_inertia_force(&p, 5000, &change);
+    traction_limit(&p, odometry_heading_of(5000), &change);
+    force = traction_inertia_force(&p, odometry_heading_of(5000), &change);
     traction_wheel_forces(&p, &force, wheel);
     for (int i = 0; i < 4; i++)
         largest = abs(wheel[i]) > largest ? abs(wheel[i]) : largest;
@@ -190,7 +201,7 @@ static void x_y_and_rotation_at_once_spare_the_worst_wheel_a_third(void) {
 
 static void the_limit_names_the_wheel(void) {
     traction_change forward_left_turn = {{20000, 20000, 60000}};
-    TEST_ASSERT_EQUAL_UINT(4, traction_limit(&p, 0, &forward_left_turn));
+    TEST_ASSERT_EQUAL_UINT(4, traction_limit(&p, odometry_heading_of(0), &forward_left_turn));
 }
 
 /* ---- trajectory ---- */
@@ -208,7 +219,8 @@ static double wheel_force_n(const trajectory *t, const traction_change *before) 
     double largest_n = 0.0;
     for (int axis = 0; axis < 3; axis++)
         change.axis_q22[axis] = t->velocity.axis_q22[axis] - before->axis_q22[axis];
-    force = traction_inertia_force(&p, odometry_binary_angle(t->position_q13[2]), &change);
+    force = traction_inertia_force(
+        &p, odometry_heading_of(odometry_binary_angle(t->position_q13[2])), &change);
     kinematics_wheel_forces(&p, &force, wheel_q8);
     for (int i = 0; i < 4; i++)
         largest_n = fmax(largest_n, abs(wheel_q8[i]) / 256.0);
@@ -444,6 +456,7 @@ int main(void) {
     RUN_TEST(theta_wraps_in_both_directions);
     RUN_TEST(left_of_a_robot_that_looks_left_is_backward);
     RUN_TEST(the_position_saturates_instead_of_wrapping);
+    RUN_TEST(to_the_body_is_a_turn_by_the_negative_heading);
     RUN_TEST(a_change_within_the_grip_passes_unchanged);
     RUN_TEST(a_change_beyond_the_grip_keeps_its_direction);
     RUN_TEST(the_limited_force_is_the_limit);
