@@ -623,7 +623,7 @@ NB_MODULE(_core, m) {
     m.def("base_parameters", &omnislip::base_parameters, "kind"_a = "robot",
           "Keys of the model file the plant reads, in the order of a parameter set.");
     m.def("simulate", &omnislip::simulate, "parameters"_a, "effects"_a, "firmware_parameters"_a,
-          "commands"_a, "impulses"_a, "duration_s"_a, "step_s"_a = 5e-4,
+          "commands"_a, "impulses"_a, "duration_s"_a, "step_s"_a = 1e-3,
           "encoder_start_counts"_a = std::vector<double>(4, 0.0), "supply_error_v"_a = nb::none(),
           "supply_resolution_v"_a = 1e-3, "on_board"_a = false, "user_effects"_a = nb::list(),
           "Firmware and plant in closed loop; arrays with one row per control tick of 1 ms. "

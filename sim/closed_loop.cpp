@@ -64,24 +64,43 @@ kinematics_velocity to_velocity(const double *value) {
     return velocity;
 }
 
-void give(control_loop *loop, const Command &command) {
+/* A command in the formats of the firmware. */
+struct FirmwareCommand {
+    Command::Kind kind = Command::kStop;
+    i16 velocity[3]; /* mm/s, mm/s, mrad/s */
+    odometry_pose goal;
+    kinematics_velocity arrival;
+    i16 duty_q15[4];
+};
+
+FirmwareCommand to_firmware(const Command &command) {
     const double *v = command.value;
+    FirmwareCommand result;
+    result.kind = command.kind;
     if (command.kind == Command::kVelocity) {
-        control_loop_command_velocity(loop, to_i16(v[0] * 1e3, "a velocity"),
-                                      to_i16(v[1] * 1e3, "a velocity"),
-                                      to_i16(v[2] * 1e3, "an angular velocity"));
+        for (int i = 0; i < 3; ++i)
+            result.velocity[i] = to_i16(v[i] * 1e3, i < 2 ? "a velocity" : "an angular velocity");
     } else if (command.kind == Command::kPose) {
-        const odometry_pose goal = to_pose(v);
-        const kinematics_velocity arrival = to_velocity(v + 3);
-        if (control_loop_command_pose(loop, &goal, &arrival) == TRAJECTORY_TOO_FAR) {
+        result.goal = to_pose(v);
+        result.arrival = to_velocity(v + 3);
+    } else if (command.kind == Command::kDuty) {
+        for (int i = 0; i < 4; ++i)
+            result.duty_q15[i] = to_i16(std::min(v[i] * 32768.0, 32767.0), "a duty");
+    }
+    return result;
+}
+
+void give(control_loop *loop, const FirmwareCommand &command) {
+    const i16 *v = command.velocity;
+    if (command.kind == Command::kVelocity) {
+        control_loop_command_velocity(loop, v[0], v[1], v[2]);
+    } else if (command.kind == Command::kPose) {
+        if (control_loop_command_pose(loop, &command.goal, &command.arrival) ==
+            TRAJECTORY_TOO_FAR) {
             throw std::invalid_argument("a commanded pose cannot be reached within 60 s");
         }
     } else if (command.kind == Command::kDuty) {
-        i16 duty_q15[4];
-        for (int i = 0; i < 4; ++i) {
-            duty_q15[i] = to_i16(std::min(v[i] * 32768.0, 32767.0), "a duty");
-        }
-        control_loop_command_duty(loop, duty_q15);
+        control_loop_command_duty(loop, command.duty_q15);
     } else {
         control_loop_stop(loop);
     }
@@ -189,6 +208,7 @@ ClosedLoopLog run_closed_loop(const std::vector<double> &values,
     control_loop_arm(&loop);
 
     ClosedLoopLog log;
+    FirmwareCommand given;
     std::size_t next = 0;
     const std::size_t ticks = static_cast<std::size_t>(closed_loop_ticks(duration_s));
     allocate(log, ticks);
@@ -198,9 +218,9 @@ ClosedLoopLog run_closed_loop(const std::vector<double> &values,
         if (board)
             board->wait_for_tick(time_s);
         while (next < commands.size() && commands[next].time_s <= time_s + 1e-9)
-            ++next;
+            given = to_firmware(commands[next++]);
         if (next > 0)
-            give(&loop, commands[next - 1]);
+            give(&loop, given);
         if (board) {
             robot.refresh(time_s);
             record_robot(log, k, robot);

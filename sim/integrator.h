@@ -1,4 +1,4 @@
-/* integrator.h - one classical Runge-Kutta step (RK4) of a plant under constant command.
+/* integrator.h - Runge-Kutta steps of a plant under constant command.
  *
  * The plant's memory rides along (memory.h): its derivative is (value at the end of the step -
  * value at its begin) / h, so the weighted sum of the stages gives that end value.
@@ -39,46 +39,85 @@ inline int step_count(double duration_s, double step_s, double fastest_rate_1_s)
     return std::max(1, static_cast<int>(std::ceil(steps - 1e-9)));
 }
 
-/* The rest of a step of the first n states whose first derivative k is known; k is used up. `room`:
- * states that the plant could touch if it had a memory in use, for compilers that check bounds. */
-template <int n, int room = n, class Plant, class S, class Step, class Internals>
-inline void rk4_step_from(S *k, const Plant &plant, S *x, const Step &step, double time_s, double h,
-                          Internals &in) {
-    const S half(0.5 * h), full(h), sixth(h / 6.0), third(h / 3.0);
-    const S middle(time_s + 0.5 * h), end(time_s + h);
-    S sum[n], probe[room] = {};
-    for (int i = 0; i < n; ++i) {
-        sum[i] = x[i] + sixth * k[i];
-        probe[i] = x[i] + half * k[i];
+/* A rule finishes a step of the first n states whose first derivative k is known; k is used up.
+ * `room`: states that the plant could touch if it had a memory in use, for compilers that check
+ * bounds. */
+
+/* Kutta's classical rule: order 4, four derivatives. */
+struct Rk4 {
+    template <int n, int room, class Plant, class S, class Step, class Internals>
+    static void finish(S *k, const Plant &plant, S *x, const Step &step, double time_s, double h,
+                       Internals &in) {
+        const S half(0.5 * h), full(h), sixth(h / 6.0), third(h / 3.0);
+        const S middle(time_s + 0.5 * h), end(time_s + h);
+        S sum[n], probe[room] = {};
+        for (int i = 0; i < n; ++i) {
+            sum[i] = x[i] + sixth * k[i];
+            probe[i] = x[i] + half * k[i];
+        }
+        plant.derivative(probe, step, middle, k, in);
+        for (int i = 0; i < n; ++i) {
+            sum[i] = sum[i] + third * k[i];
+            probe[i] = x[i] + half * k[i];
+        }
+        plant.derivative(probe, step, middle, k, in);
+        for (int i = 0; i < n; ++i) {
+            sum[i] = sum[i] + third * k[i];
+            probe[i] = x[i] + full * k[i];
+        }
+        plant.derivative(probe, step, end, k, in);
+        for (int i = 0; i < n; ++i)
+            x[i] = sum[i] + sixth * k[i];
     }
-    plant.derivative(probe, step, middle, k, in);
-    for (int i = 0; i < n; ++i) {
-        sum[i] = sum[i] + third * k[i];
-        probe[i] = x[i] + half * k[i];
+};
+
+/* Merson's rule (1957): order 4, five derivatives. Of a linear plant with eigenvalue z / h it
+ * leaves out z^5 / 120 - z^5 / 144, a sixth of what Rk4 leaves: about as exact as two steps of Rk4
+ * of half the length, with five derivatives in place of eight. */
+struct Merson {
+    template <int n, int room, class Plant, class S, class Step, class Internals>
+    static void finish(S *k, const Plant &plant, S *x, const Step &step, double time_s, double h,
+                       Internals &in) {
+        const S third(time_s + h / 3.0), middle(time_s + 0.5 * h), end(time_s + h);
+        const S full(h);
+        S first[n], early[n], probe[room] = {};
+        for (int i = 0; i < n; ++i) {
+            first[i] = full * k[i];
+            probe[i] = x[i] + S(1.0 / 3.0) * first[i];
+        }
+        plant.derivative(probe, step, third, k, in);
+        for (int i = 0; i < n; ++i)
+            probe[i] = x[i] + S(1.0 / 6.0) * (first[i] + full * k[i]);
+        plant.derivative(probe, step, third, k, in);
+        for (int i = 0; i < n; ++i) {
+            early[i] = full * k[i];
+            probe[i] = x[i] + S(0.125) * first[i] + S(0.375) * early[i];
+        }
+        plant.derivative(probe, step, middle, k, in);
+        for (int i = 0; i < n; ++i) {
+            const S central = full * k[i];
+            probe[i] = x[i] + S(0.5) * first[i] - S(1.5) * early[i] + S(2.0) * central;
+            x[i] = x[i] + S(1.0 / 6.0) * first[i] + S(2.0 / 3.0) * central;
+        }
+        plant.derivative(probe, step, end, k, in);
+        for (int i = 0; i < n; ++i)
+            x[i] = x[i] + S(1.0 / 6.0) * (full * k[i]);
     }
-    plant.derivative(probe, step, middle, k, in);
-    for (int i = 0; i < n; ++i) {
-        sum[i] = sum[i] + third * k[i];
-        probe[i] = x[i] + full * k[i];
-    }
-    plant.derivative(probe, step, end, k, in);
-    for (int i = 0; i < n; ++i)
-        x[i] = sum[i] + sixth * k[i];
-}
+};
 
 /* One step of the first n states. */
-template <int n, int room = n, class Plant, class S, class Step, class Internals>
-inline void rk4_step(const Plant &plant, S *x, const Step &step, double time_s, double h,
-                     Internals &in) {
+template <class Rule, int n, int room = n, class Plant, class S, class Step, class Internals>
+inline void take_step(const Plant &plant, S *x, const Step &step, double time_s, double h,
+                      Internals &in) {
     S k[room];
     plant.derivative(x, step, S(time_s), k, in);
-    rk4_step_from<n, room>(k, plant, x, step, time_s, h, in);
+    Rule::template finish<n, room>(k, plant, x, step, time_s, h, in);
 }
 
 /* Advances x [Plant::kAll] from time_s by duration_s; `commands(begin_s, end_s, command)` gives
  * the mean command over a step. `first`: the derivative at x, from a caller who has it of a plant
  * without memory or delay; used up. */
-template <class Plant, class S, class Commands, class Internals>
+template <class Rule = Rk4, class Plant, class S, class Commands, class Internals>
 inline void advance(const Plant &plant, S *x, const Commands &commands, double time_s,
                     double duration_s, double step_s, double fastest_rate_1_s, Internals &in,
                     S *first = nullptr) {
@@ -91,11 +130,12 @@ inline void advance(const Plant &plant, S *x, const Commands &commands, double t
         commands(begin_s, begin_s + h, command);
         plant.begin_step(x, command, h, step);
         if (plant.remembers()) {
-            rk4_step<Plant::kAll>(plant, x, step, begin_s, h, in);
+            take_step<Rule, Plant::kAll>(plant, x, step, begin_s, h, in);
         } else if (i == 0 && first != nullptr) {
-            rk4_step_from<Plant::kStates, Plant::kAll>(first, plant, x, step, begin_s, h, in);
+            Rule::template finish<Plant::kStates, Plant::kAll>(first, plant, x, step, begin_s, h,
+                                                               in);
         } else {
-            rk4_step<Plant::kStates, Plant::kAll>(plant, x, step, begin_s, h, in);
+            take_step<Rule, Plant::kStates, Plant::kAll>(plant, x, step, begin_s, h, in);
         }
     }
 }
@@ -109,7 +149,7 @@ inline void advance(const Plant &plant, S *x, const S *command, double time_s, d
     const int steps = step_count(duration_s, step_s, fastest_rate_1_s);
     const double h = duration_s / steps;
     for (int i = 0; i < steps; ++i)
-        rk4_step<Plant::kStates>(plant, x, driven, time_s + i * h, h, in);
+        take_step<Rk4, Plant::kStates>(plant, x, driven, time_s + i * h, h, in);
 }
 
 /* What the plant does in an instant: derivative dx [Plant::kAll] and internals. */

@@ -193,7 +193,7 @@ void bind_link(nb::module_ &m) {
                 new (self) VirtualRobot(model.values, model.terms, store, step_s);
             },
             "parameters"_a, "effects"_a, "store"_a = std::vector<std::uint16_t>(),
-            "user_effects"_a = nb::list(), "step_s"_a = 5e-4)
+            "user_effects"_a = nb::list(), "step_s"_a = 1e-3)
         .def("advance", &pass_time, "ticks"_a, "sent"_a = nb::bytes("", 0),
              "Puts bytes on the line, lets ticks of 1 ms pass, returns the bytes delivered.")
         .def_prop_ro("ticks", &VirtualRobot::ticks)

@@ -27,6 +27,8 @@ class RobotBody {
         mark_active<RobotPlant<double>>(values_.data(), 1, static_cast<int>(values_.size()),
                                         active);
         plant_.prepare(values_.data(), active, terms);
+        if (plant_.remembers())
+            step_s_ = std::min(step_s_, kLagStep_s);
         rate_1_s_ = plant_.fastest_rate_1_s();
         require_rate(rate_1_s_);
         rad_per_count_ = 2.0 * kPi / values_[RobotLayout::kBase - 1];
@@ -148,6 +150,8 @@ class RobotBody {
 
   private:
     static constexpr std::ptrdiff_t kDutiesKept = 1 << 16;
+    /* The memory is of second order in the step, whatever the rule. */
+    static constexpr double kLagStep_s = 5e-4;
 
     void push(const Impulse &impulse) {
         const auto &c = plant_.constants();
@@ -166,8 +170,8 @@ class RobotBody {
         /* LoggedCommands::step_s without looking back, so that a replay takes the same steps */
         const bool jumped = jump_s_ > times_s_.back() - kJumpSettles_s;
         const double step_s = jumped ? std::min(step_s_, kJumpStep_s) : step_s_;
-        advance(plant_, x_, commands(), time_s, duration_s, step_s, rate_1_s_, in_,
-                looked_ ? dx_ : nullptr);
+        advance<Merson>(plant_, x_, commands(), time_s, duration_s, step_s, rate_1_s_, in_,
+                        looked_ ? dx_ : nullptr);
         looked_ = false;
     }
 

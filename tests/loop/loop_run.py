@@ -44,7 +44,7 @@ def run(
     controller="slip",
     effects=(),
     impulses=(),
-    step_s=5e-4,
+    step_s=1e-3,
     parameters=None,
     firmware=None,
 ):

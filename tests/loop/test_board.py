@@ -38,7 +38,7 @@ COMPUTE_S, PWM_PERIOD_S = 200e-6, 50e-6
 ACCESS_S = 5e-6  # 30 register accesses between counters and duty, at 6 cycles each
 
 
-def simulate(commands, duration_s, on_board, effects=(), step_s=5e-4):
+def simulate(commands, duration_s, on_board, effects=(), step_s=1e-3):
     return _core.simulate(
         PARAMETERS,
         list(effects),

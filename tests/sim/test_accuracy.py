@@ -40,18 +40,18 @@ def test_replay_of_a_log_is_within_a_micrometre_of_a_refined_one(name):
 def test_closed_loop_under_given_duty_is_within_10_um_of_a_refined_one():
     """Without feedback through counted encoders, which amplifies one count of difference."""
     scenario = replace(read_scenario(SCENARIOS / "identification.toml"), slip_compensation=False)
-    default, refined = (closed_loop(scenario, step) for step in (5e-4, 2.5e-5))
+    default, refined = (closed_loop(scenario, step) for step in (1e-3, 2.5e-5))
     assert np.abs(default["pose"] - refined["pose"])[:, :2].max() < 1e-5
 
 
 def test_impulse_where_the_robot_passes_does_not_wait_for_the_tick():
     """Places spread over what the robot moves in three ticks: the run changes evenly with them."""
     scenario = replace(read_scenario(SCENARIOS / "identification.toml"), duration_s=1.0)
-    x = closed_loop(scenario, 5e-4)["pose"][:, 0]
+    x = closed_loop(scenario, 1e-3)["pose"][:, 0]
     blow = {"impulse_x_n_s": 0.0, "impulse_y_n_s": 9.0, "impulse_theta_n_m_s": 0.0}
     places = np.linspace(x[500], x[503], 16)
     ends = [
-        closed_loop(replace(scenario, impulses=[blow | {"x_m": place}]), 5e-4)["pose"][-1, 1]
+        closed_loop(replace(scenario, impulses=[blow | {"x_m": place}]), 1e-3)["pose"][-1, 1]
         for place in places
     ]
     steps = np.diff(ends)
@@ -126,7 +126,7 @@ def test_robot_too_stiff_is_refused_by_closed_loop_and_replay():
             [parameter_set(), parameter_set(base=base)], np.array([0.0, 0.1]), np.zeros((2, 4))
         )
     with pytest.raises(ValueError, match="too stiff to simulate"):
-        closed_loop(read_scenario(SCENARIOS / "identification.toml"), 5e-4, base)
+        closed_loop(read_scenario(SCENARIOS / "identification.toml"), 1e-3, base)
 
 
 # ---- sensitivities ----

@@ -43,7 +43,7 @@ def simulate_truth(
     scenario: Scenario,
     on_board: bool = False,
     firmware_robot: Model | None = None,
-    step_s: float = 5e-4,
+    step_s: float = 1e-3,
 ) -> dict[str, Array]:
     """Return the 1 kHz arrays (n rows) of the closed loop, names and units as in _core.simulate.
 
