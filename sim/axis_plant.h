@@ -56,8 +56,6 @@ class AxisPlant {
     static constexpr double kCommandJump = kUnbounded; /* no contact that slips */
 
     void prepare(const S *flat, const bool *active, const UserTermList &terms = {}) {
-        effects_ = flat + kBase;
-        hooks_ = 0;
         c_.mass_kg = flat[0];
         c_.inertia_kg_m2 = S(0.0);
         c_.viscous_friction_nm_s[0] = flat[3];
@@ -66,18 +64,8 @@ class AxisPlant {
         input_gain_ = flat[1];
         back_emf_ = flat[2];
         forget(c_);
-        for (int i = 0; i < kEffectCount; ++i)
-            active_[i] = active[i];
-        for_each_effect(kMotors, [&](auto effect, int index, int slot) {
-            using E = decltype(effect);
-            if constexpr ((E::info.kinds & kAxis) != 0) {
-                if (!active_[index])
-                    return;
-                hooks_ |= E::info.hooks;
-                E::prepare(c_, values<E>(slot));
-            }
-        });
-        hooks_ |= user_.prepare(terms, effects_ + effect_slot_count(kMotors));
+        active_.prepare(flat + kBase, active, c_);
+        active_.add_hooks(user_.prepare(terms, flat + kBase + effect_slot_count(kMotors)));
         inertia_ = c_.mass_kg + c_.inertia_kg_m2;
         gravity_torque_ = flat[4] * flat[5] * flat[6];
         gear_.prepare(c_.play_rad[0], c_.stiffness_nm_rad[0], c_.damping_nm_s_rad[0], inertia_);
@@ -91,12 +79,11 @@ class AxisPlant {
         CommandTerm<S, 1> term;
         step.powered = select(u[0] == u[0], S(1.0), S(0.0));
         term.duty[0] = select(u[0] == u[0], u[0], S(0.0));
-        apply(kCommand, [&](auto effect, int slot) {
-            using E = decltype(effect);
-            E::command(term, values<E>(slot));
+        active_.apply(kCommand, [&](auto effect, const Values<S> &values) {
+            decltype(effect)::command(term, values);
         });
         step.command = term.duty[0];
-        if (hooks_ & kCommand) {
+        if (active_.use(kCommand)) {
             UserInputs<S> inputs;
             inputs.at[kInD] = term.duty;
             user_.add(UserTarget::kDuty, inputs, 1, &step.command);
@@ -170,33 +157,14 @@ class AxisPlant {
         }
     }
 
-    template <class E>
-    Values<S> values(int slot) const {
-        return {effects_ + slot, effect_stride(E::info, kMotors)};
-    }
-
-    template <class Action>
-    void apply(unsigned hook, Action &&action) const {
-        if (!(hooks_ & hook))
-            return;
-        for_each_effect(kMotors, [&](auto effect, int index, int slot) {
-            using E = decltype(effect);
-            if constexpr ((E::info.kinds & kAxis) != 0) {
-                if ((E::info.hooks & hook) && active_[index])
-                    action(effect, slot);
-            }
-        });
-    }
-
     /* tau; the effects see it as the current of a motor of unit torque constant. */
     S drive(const S &command, const S *x) const {
         CurrentTerm<S, 1> term;
         term.current_a[0] = input_gain_ * command - back_emf_ * x[0];
         term.duty = &command;
         term.speed_rad_s = x;
-        apply(kCurrent, [&](auto effect, int slot) {
-            using E = decltype(effect);
-            E::current(term, values<E>(slot));
+        active_.apply(kCurrent, [&](auto effect, const Values<S> &values) {
+            decltype(effect)::current(term, values);
         });
         return term.current_a[0];
     }
@@ -205,7 +173,7 @@ class AxisPlant {
     S friction(const S *x, const S &motor_force, const S &carried, const S &time_s) const {
         using std::tanh;
         S total = -c_.viscous_friction_nm_s[0] * x[0];
-        if (!(hooks_ & kShaft))
+        if (!active_.use(kShaft))
             return total;
         ShaftTerm<S, 1> term;
         term.speed_rad_s = x;
@@ -213,9 +181,8 @@ class AxisPlant {
         term.motor_torque_nm = &carried;
         term.torque_nm[0] = S(0.0);
         term.sign[0] = tanh(x[0] / c_.friction_speed);
-        apply(kShaft, [&](auto effect, int slot) {
-            using E = decltype(effect);
-            E::shaft(term, values<E>(slot));
+        active_.apply(kShaft, [&](auto effect, const Values<S> &values) {
+            decltype(effect)::shaft(term, values);
         });
         UserInputs<S> inputs;
         inputs.at[kInW] = x;
@@ -230,10 +197,8 @@ class AxisPlant {
     S inertia_, input_gain_, back_emf_, gravity_torque_;
     SoftGear<S> gear_;
     bool delays_ = false, remembers_ = false, soft_ = false;
-    const S *effects_ = nullptr;
     UserTerms<S, 1> user_;
-    bool active_[kEffectCount] = {};
-    unsigned hooks_ = 0;
+    ActiveEffects<S, kMotors, kAxis> active_;
 };
 
 }  // namespace omnislip

@@ -56,8 +56,6 @@ class OdometryPlant {
     void prepare(const S *flat, const bool *active, const UserTermList & = {}) {
         using std::cos;
         const S degree(kPi / 180.0);
-        effects_ = flat + kBase;
-        hooks_ = 0;
         c_.wheel_distance_m = flat[1];
         c_.pose_delay_s = c_.clock_fraction = S(0.0);
         const S rolling = flat[0] * cos(flat[2] * degree);
@@ -67,17 +65,7 @@ class OdometryPlant {
             c_.roller_angle_offset_rad[i] = S(0.0);
             sensor_.encoder_rate[i] = S(1.0);
         }
-        for (int i = 0; i < kEffectCount; ++i)
-            active_[i] = active[i];
-        for_each_effect(kMotors, [&](auto effect, int index, int slot) {
-            using E = decltype(effect);
-            if constexpr ((E::info.kinds & kOdometry) != 0) {
-                if (!active_[index])
-                    return;
-                hooks_ |= E::info.hooks;
-                E::prepare(c_, values<E>(slot));
-            }
-        });
+        active_.prepare(flat + kBase, active, c_);
         read_encoder_rates();
         solve_geometry();
     }
@@ -90,9 +78,8 @@ class OdometryPlant {
             term.vy_m_s = term.vy_m_s + inverse_[1][i] * u[i];
             term.omega_rad_s = term.omega_rad_s + inverse_[2][i] * u[i];
         }
-        apply(kMotion, [&](auto effect, int slot) {
-            using E = decltype(effect);
-            E::motion(term, values<E>(slot));
+        active_.apply(kMotion, [&](auto effect, const Values<S> &values) {
+            decltype(effect)::motion(term, values);
         });
         const S pace = S(1.0) - c_.clock_fraction;
         step = {pace * term.vx_m_s, pace * term.vy_m_s, pace * term.omega_rad_s};
@@ -117,9 +104,8 @@ class OdometryPlant {
         term.gyro_rad_s = S(0.0);
         for (int i = 0; i < kMostWheels; ++i)
             term.encoder_rate[i] = S(1.0);
-        apply(kSensor, [&](auto effect, int slot) {
-            using E = decltype(effect);
-            E::sensor(term, values<E>(slot));
+        active_.apply(kSensor, [&](auto effect, const Values<S> &values) {
+            decltype(effect)::sensor(term, values);
         });
         y[0] = term.x_m;
         y[1] = term.y_m;
@@ -140,31 +126,12 @@ class OdometryPlant {
     }
 
   private:
-    template <class E>
-    Values<S> values(int slot) const {
-        return {effects_ + slot, effect_stride(E::info, kMotors)};
-    }
-
-    template <class Action>
-    void apply(unsigned hook, Action &&action) const {
-        if (!(hooks_ & hook))
-            return;
-        for_each_effect(kMotors, [&](auto effect, int index, int slot) {
-            using E = decltype(effect);
-            if constexpr ((E::info.kinds & kOdometry) != 0) {
-                if ((E::info.hooks & hook) && active_[index])
-                    action(effect, slot);
-            }
-        });
-    }
-
     void read_encoder_rates() {
         sensor_.gyro_rad_s = sensor_.x_m = sensor_.y_m = sensor_.theta_rad = S(0.0);
         sensor_.world_vx_m_s = sensor_.world_vy_m_s = sensor_.omega_rad_s = S(0.0);
         sensor_.time_s = S(0.0);
-        apply(kSensor, [&](auto effect, int slot) {
-            using E = decltype(effect);
-            E::sensor(sensor_, values<E>(slot));
+        active_.apply(kSensor, [&](auto effect, const Values<S> &values) {
+            decltype(effect)::sensor(sensor_, values);
         });
     }
 
@@ -209,9 +176,7 @@ class OdometryPlant {
     Constants<S, kMotors> c_;
     SensorTerm<S, kMotors> sensor_;
     S inverse_[3][kMostWheels];
-    const S *effects_ = nullptr;
-    bool active_[kEffectCount] = {};
-    unsigned hooks_ = 0;
+    ActiveEffects<S, kMotors, kOdometry> active_;
 };
 
 /* Encoder rates of a log, each held from its row to the next (the first also before, the last also

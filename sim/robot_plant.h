@@ -26,6 +26,7 @@
 #ifndef OMNISLIP_SIM_ROBOT_PLANT_H
 #define OMNISLIP_SIM_ROBOT_PLANT_H
 
+#include "active_effects.h"
 #include "memory.h"
 #include "user_terms.h"
 
@@ -115,19 +116,9 @@ class RobotPlant : public RobotLayout {
     /* `flat`: base parameters, effect slots, parameters of the user's terms; `active`: one flag per
      * effect; the terms must outlive the plant. */
     void prepare(const S *flat, const bool *active, const UserTermList &terms = {}) {
-        effects_ = flat + kBase;
-        hooks_ = 0;
-        for (int i = 0; i < kEffectCount; ++i)
-            active_[i] = active[i];
         load_base(flat);
-        for_each_effect(kMotors, [&](auto effect, int index, int slot) {
-            using E = decltype(effect);
-            if (!active_[index])
-                return;
-            hooks_ |= E::info.hooks;
-            E::prepare(c_, values<E>(slot));
-        });
-        hooks_ |= user_.prepare(terms, effects_ + effect_slot_count(kMotors));
+        active_.prepare(flat + kBase, active, c_);
+        active_.add_hooks(user_.prepare(terms, flat + kBase + effect_slot_count(kMotors)));
         derive_geometry();
         derive_reciprocals();
         derive_memory();
@@ -138,13 +129,12 @@ class RobotPlant : public RobotLayout {
         CommandTerm<S, 4> term;
         for (int i = 0; i < 4; ++i)
             term.duty[i] = duty[i];
-        apply(kCommand, [&](auto effect, int slot) {
-            using E = decltype(effect);
-            E::command(term, values<E>(slot));
+        active_.apply(kCommand, [&](auto effect, const Values<S> &values) {
+            decltype(effect)::command(term, values);
         });
         for (int i = 0; i < 4; ++i)
             driven[i] = term.duty[i];
-        if (hooks_ & kCommand) {
+        if (active_.use(kCommand)) {
             UserInputs<S> inputs;
             inputs.at[kInD] = term.duty;
             user_.add(UserTarget::kDuty, inputs, 4, driven);
@@ -185,7 +175,7 @@ class RobotPlant : public RobotLayout {
         }
         if (remembers_)
             memorise(x, step, in, radius_m, grip_rate, dx);
-        if (hooks_ & kSensor)
+        if (active_.use(kSensor))
             scale_encoders(x, time_s, dx);
         dx[kPose] = cos_theta * vx - sin_theta * vy;
         dx[kPose + 1] = sin_theta * vx + cos_theta * vy;
@@ -196,7 +186,7 @@ class RobotPlant : public RobotLayout {
     void output(const S *x, const S &time_s, S *y) const {
         for (int i = 0; i < 4; ++i)
             y[i] = x[kAngle + i];
-        if (!(hooks_ & kSensor)) {
+        if (!active_.use(kSensor)) {
             y[4] = x[kVelocity + 2];
             for (int i = 0; i < 3; ++i)
                 y[5 + i] = x[kPose + i];
@@ -244,22 +234,6 @@ class RobotPlant : public RobotLayout {
     }
 
   private:
-    template <class E>
-    Values<S> values(int slot) const {
-        return {effects_ + slot, effect_stride(E::info, kMotors)};
-    }
-
-    /* `action(effect, slot)` for the active effects that use `hook`. */
-    template <class Action>
-    void apply(unsigned hook, Action &&action) const {
-        if (!(hooks_ & hook))
-            return;
-        for_each_effect(kMotors, [&](auto effect, int index, int slot) {
-            if ((decltype(effect)::info.hooks & hook) && active_[index])
-                action(effect, slot);
-        });
-    }
-
     void load_base(const S *p) {
         c_.mass_kg = p[0];
         c_.inertia_kg_m2 = p[1];
@@ -403,7 +377,7 @@ class RobotPlant : public RobotLayout {
 
     /* Slope of the effects' shaft torques at standstill: the stiffness of smoothed dry friction. */
     void estimate_shaft_damping() {
-        if (!(hooks_ & kShaft))
+        if (!active_.use(kShaft))
             return;
         const S probe = S(1e-3) * c_.friction_speed;
         S speed[4], angle[4], torque[4];
@@ -434,9 +408,8 @@ class RobotPlant : public RobotLayout {
             term.torque_nm[i] = S(0.0);
             term.sign[i] = tanh(speed[i] / c_.friction_speed);
         }
-        apply(kShaft, [&](auto effect, int slot) {
-            using E = decltype(effect);
-            E::shaft(term, values<E>(slot));
+        active_.apply(kShaft, [&](auto effect, const Values<S> &values) {
+            decltype(effect)::shaft(term, values);
         });
         UserInputs<S> inputs;
         inputs.at[kInW] = speed;
@@ -451,11 +424,10 @@ class RobotPlant : public RobotLayout {
     void motor(const S *x, const Step &step, const S &time_s, RobotInternals<S> &in) const {
         const S *speed = x + kSpeed;
         SupplyTerm<S> supply{c_.supply_v, time_s};
-        apply(kSupply, [&](auto effect, int slot) {
-            using E = decltype(effect);
-            E::supply(supply, values<E>(slot));
+        active_.apply(kSupply, [&](auto effect, const Values<S> &values) {
+            decltype(effect)::supply(supply, values);
         });
-        if (hooks_ & kSupply) {
+        if (active_.use(kSupply)) {
             UserInputs<S> inputs;
             inputs.at[kInT] = &time_s;
             user_.add(UserTarget::kSupply, inputs, 1, &supply.open_circuit_v);
@@ -467,7 +439,7 @@ class RobotPlant : public RobotLayout {
             put(lot(c_.torque_constant_nm_a + i) * lot(in.current_a + i), in.motor_torque_nm + i);
             put(-lot(c_.viscous_friction_nm_s + i) * lot(speed + i), in.friction_torque_nm + i);
         }
-        if (hooks_ & kShaft) {
+        if (active_.use(kShaft)) {
             const ShaftTerm<S, 4> term = friction(speed, x + kAngle, in.motor_torque_nm, time_s);
             for (int i = 0; i < 4; ++i) {
                 in.friction_torque_nm[i] = in.friction_torque_nm[i] + term.torque_nm[i];
@@ -496,7 +468,7 @@ class RobotPlant : public RobotLayout {
             in.bus_v = (open_circuit_v + r * returned) / (S(1.0) + r * conductance);
         }
         armature(speed, step, in);
-        if (!(hooks_ & kCurrent))
+        if (!active_.use(kCurrent))
             return;
         limit_currents(speed, driven, in);
         if (!bus_sags_)
@@ -546,9 +518,8 @@ class RobotPlant : public RobotLayout {
         term.speed_rad_s = speed;
         for (int i = 0; i < 4; ++i)
             term.current_a[i] = in.current_a[i];
-        apply(kCurrent, [&](auto effect, int slot) {
-            using E = decltype(effect);
-            E::current(term, values<E>(slot));
+        active_.apply(kCurrent, [&](auto effect, const Values<S> &values) {
+            decltype(effect)::current(term, values);
         });
         for (int i = 0; i < 4; ++i)
             in.current_a[i] = term.current_a[i];
@@ -571,7 +542,7 @@ class RobotPlant : public RobotLayout {
             put(lot(c_.wheel_radius_m + i), radius_m + i);
             put(lot(c_.mu_drive + i), mu + i);
         }
-        if (hooks_ & kContact) {
+        if (active_.use(kContact)) {
             contact_effects(x, time_s, in, mu, radius_m, shape, roller_shape);
         } else {
             find_slip(x, radius_m, in, in.slip_m_s);
@@ -646,10 +617,10 @@ class RobotPlant : public RobotLayout {
         }
         friction_law(term.slip_m_s, term.shape);
         friction_law(in.roller_speed_m_s, term.roller_shape);
-        apply(kContact, [&](auto effect, int slot) {
+        active_.apply(kContact, [&](auto effect, const Values<S> &values) {
             using E = decltype(effect);
             if constexpr (!std::is_same<E, WheelEccentricity>::value) {
-                E::contact(term, values<E>(slot));
+                E::contact(term, values);
             }
         });
         UserInputs<S> inputs = motion(x, time_s);
@@ -668,10 +639,10 @@ class RobotPlant : public RobotLayout {
 
     /* The radius has to be known before the slip, the other contact effects need the slip. */
     void eccentric_radius(ContactTerm<S, 4> &term) const {
-        apply(kContact, [&](auto effect, int slot) {
+        active_.apply(kContact, [&](auto effect, const Values<S> &values) {
             using E = decltype(effect);
             if constexpr (std::is_same<E, WheelEccentricity>::value) {
-                E::contact(term, values<E>(slot));
+                E::contact(term, values);
             }
         });
     }
@@ -701,7 +672,7 @@ class RobotPlant : public RobotLayout {
         term.sin_theta = sin_theta;
         for (int i = 0; i < 4; ++i)
             term.force_along_drive_per_load[i] = S(0.0);
-        if (!(hooks_ & kBody))
+        if (!active_.use(kBody))
             return term;
         for (int i = 0; i < 4; ++i)
             term.hub_speed_m_s[i] = in.hub_speed_m_s[i];
@@ -710,9 +681,8 @@ class RobotPlant : public RobotLayout {
         term.omega_rad_s = x[kVelocity + 2];
         term.x_m = x[kPose];
         term.y_m = x[kPose + 1];
-        apply(kBody, [&](auto effect, int slot) {
-            using E = decltype(effect);
-            E::body(term, values<E>(slot));
+        active_.apply(kBody, [&](auto effect, const Values<S> &values) {
+            decltype(effect)::body(term, values);
         });
         const UserInputs<S> inputs = motion(x, time_s);
         user_.add(UserTarget::kForceX, inputs, 1, &term.force_x_n);
@@ -806,9 +776,8 @@ class RobotPlant : public RobotLayout {
         term.speed_rad_s = x + kSpeed;
         for (int i = 0; i < 4; ++i)
             term.encoder_rate[i] = S(1.0);
-        apply(kSensor, [&](auto effect, int slot) {
-            using E = decltype(effect);
-            E::sensor(term, values<E>(slot));
+        active_.apply(kSensor, [&](auto effect, const Values<S> &values) {
+            decltype(effect)::sensor(term, values);
         });
         const UserInputs<S> inputs = motion(x, time_s);
         user_.add(UserTarget::kGyro, inputs, 1, &term.gyro_rad_s);
@@ -827,10 +796,8 @@ class RobotPlant : public RobotLayout {
     Constants<S, 4> c_;
     S wheel_x_[4], wheel_y_[4], leg_x_[4], leg_y_[4], static_load_n_[4], shaft_damping_[4];
     S drive_x_[4], drive_y_[4], drive_lever_[4], roller_lever_[4];
-    const S *effects_ = nullptr;
     UserTerms<S, 4> user_;
-    bool active_[kEffectCount] = {};
-    unsigned hooks_ = 0;
+    ActiveEffects<S, kMotors, kRobot> active_;
     bool load_moves_ = false, bus_sags_ = false;
     S per_mass_, per_inertia_, per_gear_ratio_, per_shaft_inertia_[4], conductance_s_;
     SoftGear<S> gear_[4];
