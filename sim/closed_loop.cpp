@@ -8,7 +8,7 @@
 
 #include "board/on_board.h"
 #include "firmware/control_loop.h"
-#include "hal/host/hal_host.h"
+#include "motion_hal.h"
 #include "robot_body.h"
 
 namespace omnislip {
@@ -19,20 +19,6 @@ const char *const kParameterNames[] = {
 #include "firmware/parameters.def"
 };
 #undef PARAMETER
-
-void read_counts(void *context, std::uint16_t counts[4]) {
-    static_cast<const RobotBody *>(context)->counts(counts);
-}
-void write_duty(void *context, const std::int16_t duty_q15[4]) {
-    static_cast<RobotBody *>(context)->set_duty(duty_q15);
-}
-std::uint16_t read_supply(void *context) {
-    return static_cast<const RobotBody *>(context)->supply_mv();
-}
-
-void read_currents(void *context, std::int16_t current_ma[4]) {
-    static_cast<const RobotBody *>(context)->currents_ma(current_ma);
-}
 
 i16 to_i16(double value, const char *what) {
     const double rounded = std::round(value);
@@ -190,13 +176,7 @@ ClosedLoopLog run_closed_loop(const std::vector<double> &values,
                               const UserTermList &terms, const CountersMaker &make_counters) {
     const parameters settings = to_settings(firmware);
     RobotBody robot(values, terms, impulses, step_s, sensors);
-    hal_host_plant hal = {};
-    hal.context = &robot;
-    hal.read_encoder_counts = read_counts;
-    hal.write_duty = write_duty;
-    hal.read_supply_mv = read_supply;
-    hal.read_currents_ma = read_currents;
-    hal_host_attach(&hal);
+    const MotionHal<RobotBody> hal(robot);
     std::unique_ptr<OnBoard<RobotBody>> board;
     if (carrier == Carrier::kBoard) {
         board = std::make_unique<OnBoard<RobotBody>>(robot, make_counters);
@@ -234,7 +214,6 @@ ClosedLoopLog run_closed_loop(const std::vector<double> &values,
         }
         record_firmware(log, k, loop.telemetry);
     }
-    hal_host_attach(nullptr);
     return log;
 }
 

@@ -7,8 +7,8 @@
 #include "axis_plant.h"
 #include "closed_loop.h"
 #include "firmware/control_loop.h"
-#include "hal/host/hal_host.h"
 #include "integrator.h"
+#include "motion_hal.h"
 #include "rigid_model.h"
 #include "robot_plant.h"
 
@@ -43,30 +43,31 @@ double plant_step_ns(const Plant &plant, const double *duty) {
 }
 
 /* Shafts that follow their duty with a lag: just enough for the firmware to hold a speed. */
-struct Shafts {
-    double counts[4], counts_per_tick[4];
+class Shafts {
+  public:
+    void counts(std::uint16_t *out) {
+        for (int i = 0; i < 4; ++i) {
+            counts_[i] += counts_per_tick_[i];
+            out[i] = static_cast<std::uint16_t>(static_cast<std::int64_t>(counts_[i]));
+        }
+    }
+    void set_duty(const std::int16_t *duty_q15) {
+        constexpr double kNoLoad = 300.0; /* counts per tick: 24 V / 0.0255 V s of 2000 counts */
+        for (int i = 0; i < 4; ++i) {
+            const double settled = kNoLoad * duty_q15[i] / 32768.0;
+            counts_per_tick_[i] += 0.05 * (settled - counts_per_tick_[i]);
+        }
+    }
+    std::uint16_t supply_mv() const {
+        return 24000;
+    }
+    void currents_ma(std::int16_t *out) const {
+        std::fill_n(out, 4, static_cast<std::int16_t>(0));
+    }
+
+  private:
+    double counts_[4] = {}, counts_per_tick_[4] = {};
 };
-void turn_shafts(void *context, std::uint16_t counts[4]) {
-    auto &shafts = *static_cast<Shafts *>(context);
-    for (int i = 0; i < 4; ++i) {
-        shafts.counts[i] += shafts.counts_per_tick[i];
-        counts[i] = static_cast<std::uint16_t>(static_cast<std::int64_t>(shafts.counts[i]));
-    }
-}
-void drive_shafts(void *context, const std::int16_t duty_q15[4]) {
-    constexpr double kNoLoad = 300.0; /* counts per tick: 24 V / 0.0255 V s of 2000 counts */
-    auto &shafts = *static_cast<Shafts *>(context);
-    for (int i = 0; i < 4; ++i) {
-        const double settled = kNoLoad * duty_q15[i] / 32768.0;
-        shafts.counts_per_tick[i] += 0.05 * (settled - shafts.counts_per_tick[i]);
-    }
-}
-void no_currents(void *, std::int16_t current_ma[4]) {
-    std::fill_n(current_ma, 4, static_cast<std::int16_t>(0));
-}
-std::uint16_t full_supply(void *) {
-    return 24000;
-}
 
 }  // namespace
 
@@ -107,14 +108,8 @@ double axis_step_ns() {
 
 double firmware_tick_ns(const std::vector<std::int32_t> &firmware) {
     const parameters settings = to_settings(firmware);
-    Shafts shafts = {};
-    hal_host_plant hal = {};
-    hal.context = &shafts;
-    hal.read_encoder_counts = turn_shafts;
-    hal.write_duty = drive_shafts;
-    hal.read_supply_mv = full_supply;
-    hal.read_currents_ma = no_currents;
-    hal_host_attach(&hal);
+    Shafts shafts;
+    const MotionHal<Shafts> hal(shafts);
     control_loop loop;
     control_loop_init(&loop, &settings);
     control_loop_tick(&loop); /* BOOT -> IDLE */
@@ -123,7 +118,6 @@ double firmware_tick_ns(const std::vector<std::int32_t> &firmware) {
         control_loop_command_velocity(&loop, 500, 300, 1000);
         control_loop_tick(&loop);
     });
-    hal_host_attach(nullptr);
     if (loop.telemetry.mode != CONTROL_MODE_VELOCITY)
         throw std::runtime_error("the firmware stopped while its tick was measured");
     return spent_ns;
