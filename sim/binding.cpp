@@ -631,6 +631,7 @@ NB_MODULE(_core, m) {
     m.def("step_times_ns", &omnislip::step_times_ns, "parameters"_a, "effects"_a,
           "firmware_parameters"_a,
           "Nanoseconds per step of 0.5 ms of each model and per control tick of the firmware.");
+    m.attr("SETTLE_S") = omnislip::kSettleTime_s;
     omnislip::bind_replay(m);
     omnislip::bind_link(m);
 }

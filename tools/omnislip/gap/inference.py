@@ -24,6 +24,7 @@ import numpy.typing as npt
 from scipy.optimize import lsq_linear
 from scipy.stats import chi2
 
+from omnislip import _core
 from omnislip.gap.machine import Candidate, Machine, Parameter
 from omnislip.gap.noise import STEP_S, Noise, track_all
 from omnislip.gap.recordings import Run
@@ -31,7 +32,6 @@ from omnislip.gap.recordings import Run
 Array = npt.NDArray[np.float64]
 
 BLOCK_S = 0.5
-SETTLE_S = 0.25
 BATCH = 64
 STEPS = (1.0, 0.5, 0.2, 0.05)
 FEW_STEPS = (1.0, 0.3)
@@ -146,13 +146,9 @@ class Data:
         sizes = [int(k.sum()) * self.machine.engine.outputs for k in self._kept]
         return np.split(residual, np.cumsum(sizes)[:-1])
 
-    def kept_times(self, index: int) -> Array:
-        """Times of the rows of run `index` that count."""
-        return self.runs[index].t_s[self._kept[index]]
-
     def kept_rows(self, run: Run) -> npt.NDArray[np.bool_]:
         """Rows after the filter has found the initial state."""
-        return run.t_s >= run.t_s[0] + SETTLE_S
+        return run.t_s >= run.t_s[0] + _core.SETTLE_S
 
     def _block_numbers(self) -> npt.NDArray[np.int64]:
         numbers, offset = [], 0

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from omnislip import _core
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import Noise, track_all, tune_noise
 from omnislip.gap.recordings import Run, body_errors, machine_for, make_run
@@ -26,7 +27,7 @@ from omnislip.model_file import read_model
 Array = npt.NDArray[np.float64]
 
 WINDOW_S = 1.0
-SETTLE_S = 0.25
+SETTLE_S = _core.SETTLE_S
 BOOTSTRAPS = 2000
 PREDICTED, REPEATED = "the predictor's noise", "repeated manoeuvres"
 """Where a noise floor comes from."""
