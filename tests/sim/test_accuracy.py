@@ -44,6 +44,19 @@ def test_closed_loop_under_given_duty_is_within_10_um_of_a_refined_one():
     assert np.abs(default["pose"] - refined["pose"])[:, :2].max() < 1e-5
 
 
+@pytest.mark.parametrize("slip_compensation", [False, True])
+@pytest.mark.parametrize("name", ["square", "straight_impact"])
+def test_closed_loop_with_firmware_is_within_a_tenth_of_a_millimetre(name, slip_compensation):
+    """Within 1 um as long as the firmware reads the same counts."""
+    scenario = read_scenario(SCENARIOS / f"{name}.toml")
+    scenario = replace(scenario, slip_compensation=slip_compensation)
+    default, refined = (simulate_truth(scenario, step_s=step) for step in (1e-3, 2.5e-5))
+    apart_m = np.abs(default["pose"] - refined["pose"])[:, :2].max(axis=1)
+    same = (default["encoder_counts"] == refined["encoder_counts"]).all(axis=1)
+    assert apart_m[np.logical_and.accumulate(same)].max() < 1e-6
+    assert apart_m.max() < 1e-4
+
+
 def test_impulse_where_the_robot_passes_does_not_wait_for_the_tick():
     """Places spread over what the robot moves in three ticks: the run changes evenly with them."""
     scenario = replace(read_scenario(SCENARIOS / "identification.toml"), duration_s=1.0)
