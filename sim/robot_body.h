@@ -150,7 +150,8 @@ class RobotBody {
 
   private:
     static constexpr std::ptrdiff_t kDutiesKept = 1 << 16;
-    /* The memory is of second order in the step, whatever the rule. */
+    /* The memory is of second order in the step, and teeth that meet are of none, whatever the
+     * rule: such a plant takes steps like those of a replay. */
     static constexpr double kLagStep_s = 5e-4;
 
     void push(const Impulse &impulse) {
@@ -170,8 +171,12 @@ class RobotBody {
         /* LoggedCommands::step_s without looking back, so that a replay takes the same steps */
         const bool jumped = jump_s_ > times_s_.back() - kJumpSettles_s;
         const double step_s = jumped ? std::min(step_s_, kJumpStep_s) : step_s_;
-        advance<Merson>(plant_, x_, commands(), time_s, duration_s, step_s, rate_1_s_, in_,
-                        looked_ ? dx_ : nullptr);
+        double *first = looked_ ? dx_ : nullptr;
+        if (plant_.remembers())
+            advance<Rk4>(plant_, x_, commands(), time_s, duration_s, step_s, rate_1_s_, in_, first);
+        else
+            advance<Merson>(plant_, x_, commands(), time_s, duration_s, step_s, rate_1_s_, in_,
+                            first);
         looked_ = false;
     }
 
