@@ -27,7 +27,7 @@ class RobotBody {
         mark_active<RobotPlant<double>>(values_.data(), 1, static_cast<int>(values_.size()),
                                         active);
         plant_.prepare(values_.data(), active, terms);
-        if (plant_.remembers())
+        if (plant_.remembers() || plant_.delays())
             step_s_ = std::min(step_s_, kLagStep_s);
         rate_1_s_ = plant_.fastest_rate_1_s();
         require_rate(rate_1_s_);
@@ -150,8 +150,8 @@ class RobotBody {
 
   private:
     static constexpr std::ptrdiff_t kDutiesKept = 1 << 16;
-    /* The memory is of second order in the step, and teeth that meet are of none, whatever the
-     * rule: such a plant takes steps like those of a replay. */
+    /* Lags are of second order in the step, whatever the rule, and the jump of a duty that acts
+     * late falls into steps that are not fine. */
     static constexpr double kLagStep_s = 5e-4;
 
     void push(const Impulse &impulse) {
@@ -172,7 +172,7 @@ class RobotBody {
         const bool jumped = jump_s_ > times_s_.back() - kJumpSettles_s;
         const double step_s = jumped ? std::min(step_s_, kJumpStep_s) : step_s_;
         double *first = looked_ ? dx_ : nullptr;
-        if (plant_.remembers())
+        if (plant_.remembers()) /* as in a replay: teeth that meet are of no order */
             advance<Rk4>(plant_, x_, commands(), time_s, duration_s, step_s, rate_1_s_, in_, first);
         else
             advance<Merson>(plant_, x_, commands(), time_s, duration_s, step_s, rate_1_s_, in_,

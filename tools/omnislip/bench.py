@@ -1,6 +1,8 @@
 """`tools/bench`: what the simulation costs here, how exact it is, and MuJoCo beside it.
 
-One core is measured in processor time, several in time on the clock; each is the best of a few.
+One run is measured in processor time, batches on threads in time on the clock; each is the best of
+a few. The load of the machine is printed first: other work takes cores, and slows down what shares
+one.
 """
 
 import importlib.util
@@ -30,6 +32,7 @@ SCENARIOS = Path(__file__).parent / "scenarios"
 REPETITIONS = 5
 SETS = 128
 PLANT_STEP_S = 5e-4
+CLOSED_LOOP_STEP_S = 1e-3
 REFINED_STEP_S = 2.5e-5
 MUJOCO_STEP_S = 1e-3
 MUJOCO_REFINED_STEP_S = 1e-4
@@ -56,6 +59,8 @@ def best_time_s(
 def main() -> None:
     """Print the tables."""
     console = Console()
+    cores, load = len(os.sched_getaffinity(0)), os.getloadavg()[0]
+    console.print(f"{cores} cores; programs that wanted one during the last minute: {load:.1f}")
     steps = _step_times()
     console.print(_models(steps))
     console.print(_closed_loops(steps["firmware"]))
@@ -109,7 +114,7 @@ def _closed_loops(firmware_ns: float) -> Table:
                 read_scenario(SCENARIOS / f"{name}.toml"), slip_compensation=compensation
             )
             refined = simulate_truth(scenario, step_s=REFINED_STEP_S)["pose"]
-            for step_s in (PLANT_STEP_S, PLANT_STEP_S / 2):
+            for step_s in (CLOSED_LOOP_STEP_S, CLOSED_LOOP_STEP_S / 2):
                 table.add_row(*_closed_loop(scenario, step_s, refined, firmware_ns))
     return table
 
@@ -134,24 +139,27 @@ def _batches() -> Table:
         f"replays of one log, {SETS} parameter sets, steps of 1 ms",
         "instruction set",
         "lanes",
-        "cores",
+        "threads",
         "simulated seconds per second",
+        "times one thread",
     )
     machine = Machine(read_model(NOMINAL_ROBOT))
     run = make_run(machine, run_scenario(read_scenario(SCENARIOS / "identification.toml")).log)
-    cores = sorted(os.sched_getaffinity(0))
+    cores = len(os.sched_getaffinity(0))
     for lanes in (2, 4, 8):
         engine = _core.Engine("robot", lanes)
         track = _track(engine, machine, run)
-        for count in sorted({1, 2, len(cores) // 2, len(cores)} & set(range(1, len(cores) + 1))):
-            os.sched_setaffinity(0, cores[:count])
-            clock = time.process_time if count == 1 else time.perf_counter
+        alone = 0.0
+        for count in sorted({1, 2, cores // 2, cores} & set(range(1, cores + 1))):
+            _core.limit_threads(count)
             spent = best_time_s(
-                lambda own=(engine, track): _replay_batch(*own, machine, run), clock
+                lambda own=(engine, track): _replay_batch(*own, machine, run), time.perf_counter
             )
-            speed = f"{SETS * run.duration_s / spent:,.0f}"
-            table.add_row(engine.instruction_set, str(engine.lanes), str(count), speed)
-        os.sched_setaffinity(0, cores)
+            speed = SETS * run.duration_s / spent
+            alone = alone or speed
+            row = (engine.instruction_set, str(engine.lanes), str(count), f"{speed:,.0f}")
+            table.add_row(*row, f"{speed / alone:.2f}")
+    _core.limit_threads(cores)
     return table
 
 
