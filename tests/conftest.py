@@ -1,12 +1,16 @@
-"""Settings and clusters of all Python tests."""
+"""Settings, clusters and the command line in this process, for all Python tests."""
 
+import io
 import os
 import signal
+import sys
+from typing import NamedTuple
 
 import distributed
 import psutil
 import pytest
 from hypothesis import settings
+from omnislip import cli
 
 # No deadline: the machine may be busy. The same examples every time: a result can be repeated.
 settings.register_profile("omnislip", deadline=None, derandomize=True)
@@ -33,3 +37,26 @@ def kill_a_worker():
         os.kill(workers[-1].pid, signal.SIGKILL)
 
     return kill
+
+
+class Ended(NamedTuple):
+    """What a run of the command line left behind."""
+
+    status: int
+    stdout: str
+    stderr: str
+
+
+@pytest.fixture
+def omnislip(monkeypatch, capsys):
+    """Run the command line with the given words, and what is typed into it; returns Ended."""
+
+    def run(*words, typed=""):
+        monkeypatch.setattr(sys, "argv", ["omnislip", *map(str, words)])
+        monkeypatch.setattr(sys, "stdin", io.StringIO(typed))
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        captured = capsys.readouterr()
+        return Ended(ended.value.code, captured.out, captured.err)
+
+    return run

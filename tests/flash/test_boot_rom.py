@@ -1,12 +1,9 @@
 """Loading a RAM image through the boot ROM of a chip, also over a line that damages bytes."""
 
-import io
 import json
-import sys
 
 import pytest
 from boot_rom_chip import Chip
-from omnislip import cli
 from omnislip.errors import InputError, RobotError
 from omnislip.flash import boot_rom
 from omnislip.flash.image import Block, make_image
@@ -150,19 +147,6 @@ def test_two_memories_are_refused():
 
 
 # ---- the command ----
-
-
-@pytest.fixture
-def omnislip(monkeypatch, capsys):
-    def run(*words, typed=""):
-        monkeypatch.setattr(sys, "argv", ["omnislip", *map(str, words)])
-        monkeypatch.setattr(sys, "stdin", io.StringIO(typed))
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        captured = capsys.readouterr()
-        return ended.value.code, captured.out, captured.err
-
-    return run
 
 
 @pytest.fixture

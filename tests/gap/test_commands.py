@@ -2,13 +2,10 @@
 
 import json
 import re
-import sys
-from dataclasses import dataclass
 
 import numpy as np
 import pytest
 from axis_bench import Bench, make_log, model_text
-from omnislip import cli
 from omnislip.gap.truth import TruthCase, write_case
 from omnislip.log_file import Log, write_log
 from omnislip.model_file import NOMINAL_ROBOT
@@ -16,28 +13,10 @@ from omnislip.model_file import NOMINAL_ROBOT
 ROBOT_TEXT = NOMINAL_ROBOT.read_text()
 
 
-@dataclass(frozen=True)
-class Ended:
-    """What a run of the command line left behind."""
-
-    status: int
-    stdout: str
-    stderr: str
-
-
-@pytest.fixture
-def omnislip(monkeypatch, capsys, tmp_path):
-    """Run the command line in an empty folder."""
+@pytest.fixture(autouse=True)
+def empty_folder(monkeypatch, tmp_path):
+    """Every command runs in an empty folder."""
     monkeypatch.chdir(tmp_path)
-
-    def run(*words):
-        monkeypatch.setattr(sys, "argv", ["omnislip", *map(str, words)])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        captured = capsys.readouterr()
-        return Ended(ended.value.code, captured.out, captured.err)
-
-    return run
 
 
 @pytest.fixture(scope="module")

@@ -1,35 +1,9 @@
-"""Shared fixtures: files to spoil, and the command line run in this process."""
+"""Shared fixtures: files to spoil, folders that cannot be made, a cluster."""
 
-import sys
-from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from omnislip import cli
 from omnislip.model_file import NOMINAL_ROBOT
-
-
-@dataclass(frozen=True)
-class Ended:
-    """What a run of the command line left behind."""
-
-    status: int
-    stdout: str
-    stderr: str
-
-
-@pytest.fixture
-def omnislip(monkeypatch, capsys):
-    """Run the command line with the given words; returns Ended."""
-
-    def run(*words: object) -> Ended:
-        monkeypatch.setattr(sys, "argv", ["omnislip", *map(str, words)])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        captured = capsys.readouterr()
-        return Ended(ended.value.code, captured.out, captured.err)
-
-    return run
 
 
 @pytest.fixture
