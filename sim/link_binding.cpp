@@ -187,13 +187,15 @@ void bind_link(nb::module_ &m) {
         .def(
             "__init__",
             [](VirtualRobot *self, const Numbers &parameters, const nb::list &effects,
-               const std::vector<std::uint16_t> &store, const nb::list &user_effects,
-               double step_s) {
+               const std::vector<std::uint16_t> &store, const nb::list &user_effects, double step_s,
+               bool on_board) {
                 const RobotParameters model = robot_parameters(parameters, effects, user_effects);
-                new (self) VirtualRobot(model.values, model.terms, store, step_s);
+                new (self) VirtualRobot(model.values, model.terms, store, step_s,
+                                        on_board ? Carrier::kBoard : Carrier::kPlant);
             },
             "parameters"_a, "effects"_a, "store"_a = std::vector<std::uint16_t>(),
-            "user_effects"_a = nb::list(), "step_s"_a = 1e-3)
+             "user_effects"_a = nb::list(), "step_s"_a = 1e-3, "on_board"_a = false,
+             "on_board: through the drivers on the virtual LF2407A instead of the stub HAL.")
         .def("advance", &pass_time, "ticks"_a, "sent"_a = nb::bytes("", 0),
              "Puts bytes on the line, lets ticks of 1 ms pass, returns the bytes delivered.")
         .def_prop_ro("ticks", &VirtualRobot::ticks)

@@ -35,7 +35,7 @@ void Converter::run() {
     for (int k = 0; k <= board_.value(MAXCONV); ++k) {
         const std::uint16_t select = board_.value(static_cast<std::uint16_t>(CHSELSEQ1 + k / 4));
         const double volt = board_.analog_v(select >> (4 * (k % 4)) & 15);
-        const double code = std::floor(volt / kFullScale_v * 1024.0);
+        const double code = std::floor(volt / kStep_v);
         const auto clipped = static_cast<std::uint16_t>(std::clamp(code, 0.0, 1023.0));
         board_.set(static_cast<std::uint16_t>(RESULT0 + k),
                    static_cast<std::uint16_t>(clipped << 6));

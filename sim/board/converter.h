@@ -14,7 +14,7 @@ namespace omnislip {
 
 class Converter {
   public:
-    static constexpr double kFullScale_v = 3.3;
+    static constexpr double kFullScale_v = 3.3, kStep_v = kFullScale_v / 1024;
 
     explicit Converter(Board &board) : board_(board) {}
     void reset();

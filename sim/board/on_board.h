@@ -12,6 +12,7 @@
 #include <array>
 #include <cmath>
 #include <memory>
+#include <random>
 #include <stdexcept>
 
 #include "board/board.h"
@@ -25,13 +26,15 @@ namespace omnislip {
 template <class Body>
 class OnBoard : public BoardSurroundings, public EncoderSource {
   public:
-    /* The drivers are started; the tick runs after `run`. Without a maker the counters are
-     * BehaviouralCounters. */
-    explicit OnBoard(Body &body, const CountersMaker &make_counters = {})
+    /* The drivers are started; the tick comes with wait_for_tick. Without a maker the counters are
+     * BehaviouralCounters. `analog_noise_v`: standard deviation of what the converter is given. */
+    explicit OnBoard(Body &body, const CountersMaker &make_counters = {},
+                     double analog_noise_v = 0.0)
         : body_(body),
           counters_(make_counters ? make_counters(*this)
                                   : std::make_unique<BehaviouralCounters>(*this)),
-          board_(*this, *counters_, board_vectors()) {
+          board_(*this, *counters_, board_vectors()),
+          analog_noise_v_(analog_noise_v) {
         board_.attach();
         hal_host_attach(&board_hal());
         board_start();
@@ -55,6 +58,10 @@ class OnBoard : public BoardSurroundings, public EncoderSource {
         board_hal().service_watchdog(nullptr);
     }
 
+    Board &board() {
+        return board_;
+    }
+
     void drive(const std::array<double, 4> &duty, BoardTime now) override {
         run_to(seconds(now));
         body_.set_duty(duty.data());
@@ -67,7 +74,7 @@ class OnBoard : public BoardSurroundings, public EncoderSource {
         body_.refresh(at_s_);
         const double share = channel < 4 ? 0.5 + body_.current_a()[channel] / kFullScale_a
                                          : body_.supply_pin_v() / kFullScale_supply_v;
-        return share * Converter::kFullScale_v;
+        return share * Converter::kFullScale_v + analog_noise_v_ * noise_(random_);
     }
 
     std::array<double, 4> encoder_counts(BoardTime now) override {
@@ -94,6 +101,9 @@ class OnBoard : public BoardSurroundings, public EncoderSource {
     Board board_;
     BoardTime origin_ = kNever;
     double at_s_ = 0.0;
+    double analog_noise_v_;
+    std::mt19937 random_{1};
+    std::normal_distribution<double> noise_;
 };
 
 }  // namespace omnislip

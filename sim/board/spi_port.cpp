@@ -40,6 +40,7 @@ void Eeprom::select(bool selected) {
         }
         busy_until_ = board_.now() + kWriteCycle;
         write_enabled_ = false;
+        ++writes_;
     }
     if (selected != selected_)
         position_ = 0;

@@ -29,6 +29,10 @@ class Eeprom {
         return bytes_;
     }
     bool writing() const;
+    /* WRITE instructions carried out. */
+    long writes() const {
+        return writes_;
+    }
     /* The supply is gone now: undefined are the bytes being written. */
     void cut_power(unsigned seed);
 
@@ -45,6 +49,7 @@ class Eeprom {
     BoardTime busy_until_ = 0;
     bool selected_ = false, write_enabled_ = false;
     int position_ = 0, instruction_ = 0, address_ = 0, begin_ = 0;
+    long writes_ = 0;
 };
 
 class SpiPort {

@@ -37,8 +37,8 @@ class VirtualLine:
         return self.robot.ticks / 1000
 
 
-def robot(store=None):
-    return make_robot(MODEL, store)
+def robot(store=None, on_board=False):
+    return make_robot(MODEL, store, on_board)
 
 
 def session(line=None):

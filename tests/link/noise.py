@@ -3,6 +3,8 @@
     .venv/bin/python tests/link/noise.py 600          ten minutes of robot time, as fast as it goes
     .venv/bin/python tests/link/noise.py 600 --pty    the same in real time on a pseudo-terminal
 
+With --on-board the robot's firmware runs through the drivers on the virtual LF2407A.
+
 The host sends a new driving command every 50 ms, each unlike all others, sets and reads parameters,
 and records at 100 rows a second. The bench looks into the robot: which commands it has held, which
 parameters it has, how many frames it has sent.
@@ -30,8 +32,8 @@ MODES = {name: number for number, name in enumerate(protocol.MODES)}
 class Witness:
     """A robot whose held commands are written down."""
 
-    def __init__(self):
-        self.robot = robot()
+    def __init__(self, on_board=False):
+        self.robot = robot(on_board=on_board)
         self.held = []
         self.end = False
 
@@ -184,8 +186,9 @@ def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("duration_s", type=float)
     parser.add_argument("--pty", action="store_true")
+    parser.add_argument("--on-board", action="store_true")
     given = parser.parse_args()
-    witness = Witness()
+    witness = Witness(given.on_board)
     if given.pty:
         figures = on_pseudo_terminal(witness, given.duration_s)
     else:

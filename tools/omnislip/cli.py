@@ -222,6 +222,9 @@ def robot(
     store: Annotated[
         Path | None, typer.Option(help="File of the EEPROM; default: blank, kept nowhere.")
     ] = None,
+    on_board: Annotated[
+        bool, typer.Option("--on-board", help="Through the drivers on the virtual LF2407A.")
+    ] = False,
 ) -> None:
     """Run the virtual robot in real time, its serial port on a pseudo-terminal, to Ctrl-C.
 
@@ -232,7 +235,7 @@ def robot(
     from omnislip.virtual_robot import make_robot, port_link_to, pseudo_terminal, read_store, serve
 
     words = read_store(store) if store is not None else []
-    virtual = make_robot(read_model(robot or NOMINAL_ROBOT), words)
+    virtual = make_robot(read_model(robot or NOMINAL_ROBOT), words, on_board)
     with pseudo_terminal() as (master, port), port_link_to(port, port_link), _stop_signals():
         print(f"robot at {port_link or port}", flush=True)
         try:

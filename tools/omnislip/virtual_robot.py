@@ -26,16 +26,21 @@ CHUNK_TICKS = 5
 GIVE_UP_S = 1.0
 
 
-def make_robot(model: Model, store: list[int] | None = None) -> _core.VirtualRobot:
+def make_robot(
+    model: Model, store: list[int] | None = None, on_board: bool = False
+) -> _core.VirtualRobot:
     """Return a robot just switched on. `store`: words of its EEPROM, default blank.
 
-    InputError when the model is not one of a robot, or too stiff to be integrated.
+    on_board: its firmware runs through the drivers on the virtual LF2407A. InputError when the
+    model is not one of a robot, or too stiff to be integrated.
     """
     if model.kind != "robot":
         raise InputError(f"{model.path}: model.kind is '{model.kind}', a 'robot' is needed")
     parameters, effects = model.to_core()
     try:
-        return _core.VirtualRobot(parameters, effects, store or [], model.own_effects)
+        return _core.VirtualRobot(
+            parameters, effects, store or [], model.own_effects, on_board=on_board
+        )
     except ValueError as error:
         raise InputError(f"{model.path}: {error}") from None
 
