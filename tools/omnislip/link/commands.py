@@ -70,7 +70,7 @@ def monitor(
     plot: Annotated[Path | None, typer.Option(help="Picture to write at the end.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object per sample.")] = False,
 ) -> None:
-    """Show signals live: values, units and their recent course."""
+    """Show signals live: a table of the values, and plots of their last ten seconds beside it."""
     from omnislip import plots
     from omnislip.link.monitor import MONITOR_STREAM, SIGNALS, Watched
     from omnislip.link.monitor import plot as draw
@@ -85,13 +85,13 @@ def monitor(
         layout = session.open_stream(MONITOR_STREAM, 1000 // rate, watched.names, watched.take)
         _check_line(layout.frame_bytes * rate)
         if as_json:
-            _until_ctrl_c(session, duration, _print_samples(watched.samples))
+            _until_ctrl_c(session, duration, _print_samples(watched))
         else:
             _watch_table(session, watched, duration)
         session.close_stream(MONITOR_STREAM)
-    if plot is not None and watched.samples:
+    if plot is not None and len(watched):
         draw(watched, plot)
-    _say(f"{len(watched.samples)} samples, {session.counters.samples_missing} missing")
+    _say(f"{len(watched)} samples, {session.counters.samples_missing} missing")
 
 
 @app.command(epilog="Example: omnislip link /dev/ttyUSB0 record --out run.csv --duration 10")
@@ -309,42 +309,47 @@ def _check_line(bytes_per_second: int) -> None:
 
 
 def _until_ctrl_c(session: Session, duration_s: float | None, show: Callable[[], None]) -> None:
-    """Listen for `duration_s`, or to Ctrl-C; `show` ten times a second."""
+    """Listen for `duration_s`, or to Ctrl-C; `show` five times a second."""
     begin_s = session.line.time_s()
     try:
         while duration_s is None or session.line.time_s() - begin_s < duration_s:
-            session.listen(0.1)
+            session.listen(0.2)
             show()
     except KeyboardInterrupt:
         return
 
 
 def _watch_table(session: Session, watched: "Watched", duration_s: float | None) -> None:
-    """Show a live table on a terminal; elsewhere print it once, at the end."""
+    """Fill a terminal with table and plots; the table of the end is printed, elsewhere only it."""
+    from omnislip.link.monitor import live_view
+
     console = Console()
 
-    def table() -> Table:
+    def title() -> str:
         counters = session.counters
-        title = f"{counters.samples} samples, {counters.samples_missing} missing"
-        return watched.table(f"{title}; {session.events[-1]}" if session.events else title)
+        counted = f"{counters.samples} samples, {counters.samples_missing} missing"
+        return f"{counted}\n{session.events[-1]}" if session.events else counted
 
-    if not console.is_terminal:
+    if console.is_terminal:
+        with Live(console=console, screen=True, auto_refresh=False) as live:
+            _until_ctrl_c(
+                session,
+                duration_s,
+                lambda: live.update(live_view(watched, title(), console), refresh=True),
+            )
+    else:
         _until_ctrl_c(session, duration_s, lambda: None)
-        console.print(table())
-        return
-    with Live(console=console, auto_refresh=False) as live:
-        _until_ctrl_c(session, duration_s, lambda: live.update(table(), refresh=True))
+    console.print(watched.table(title()))
 
 
-def _print_samples(samples: list[dict[str, int]]) -> Callable[[], None]:
+def _print_samples(watched: "Watched") -> Callable[[], None]:
     printed = 0
 
     def show() -> None:
         nonlocal printed
-        for raw in samples[printed:]:
-            named = {n: protocol.SIGNALS[n].value(value) for n, value in raw.items()}
-            print(json.dumps(named), flush=True)
-        printed = len(samples)
+        for row in watched.rows(printed):
+            print(json.dumps(row), flush=True)
+        printed = len(watched)
 
     return show
 

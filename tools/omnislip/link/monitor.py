@@ -1,11 +1,17 @@
-"""Watch a robot: a live table with a trace of each signal, and a picture of the whole."""
+"""Watch a robot: a live table with plots beside it, and a picture of the whole."""
 
-from collections import deque
-from collections.abc import Sequence
+import itertools
+from array import array
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
+import plotext
+from rich.console import Console, ConsoleOptions, RenderResult
+from rich.layout import Layout
 from rich.table import Table
+from rich.text import Text
 
 from omnislip import plots
 from omnislip.link import protocol
@@ -28,8 +34,13 @@ SIGNALS = (
     "observed_omega_rad_s_q11",
     *(f"shaft_{wheel}_rad_s_q5" for wheel in range(1, 5)),
 )
-TRACE_SAMPLES = 40
-_BARS = "▁▂▃▄▅▆▇█"
+# Of the live plots; the picture shows all.
+WINDOW_S = 10.0
+# Smallest panel in which a course can be read, in characters.
+PANEL_COLUMNS, PANEL_ROWS = 30, 8
+COLORS = ("blue+", "red+", "green+", "magenta+", "cyan+", "yellow")  # of plotext, readable on both
+
+Floats = npt.NDArray[np.float64]
 
 
 class Watched:
@@ -37,29 +48,42 @@ class Watched:
 
     def __init__(self, signals: Sequence[str]) -> None:
         names = [protocol.find_signal(name).name for name in signals]
-        # Time is asked for in any case: it is the axis of the picture.
+        # Time is asked for in any case: it is the axis of the plots.
         self.names = names if "time_ms" in names else ["time_ms", *names]
-        self.samples: list[dict[str, int]] = []
-        self._recent: deque[dict[str, int]] = deque(maxlen=TRACE_SAMPLES)
+        self._columns = {name: array("q") for name in self.names}
+
+    def __len__(self) -> int:
+        """How many samples there are."""
+        return len(self._columns["time_ms"])
 
     def take(self, _sequence: int, raw: dict[str, int]) -> None:
         """Add a sample."""
-        self.samples.append(raw)
-        self._recent.append(raw)
+        for name, column in self._columns.items():
+            column.append(raw[name])
+
+    def rows(self, begin: int) -> Iterator[dict[str, float]]:
+        """Yield the samples from number `begin` on, in their units."""
+        for row in range(begin, len(self)):
+            yield {n: protocol.SIGNALS[n].value(c[row]) for n, c in self._columns.items()}
+
+    def time_s(self) -> Floats:
+        """Return the robot's time of each sample."""
+        return np.array(self._columns["time_ms"]) / 1000
+
+    def values(self, signal: Signal, begin: int = 0) -> Floats:
+        """Return a signal in its unit, from sample `begin` on."""
+        return np.array(self._columns[signal.name][begin:]) / 2**signal.q_bits
 
     def table(self, title: str) -> Table:
-        """Return the latest values with a trace of the recent ones."""
-        table = Table(title=title, title_justify="left")
+        """Return the latest values."""
+        table = Table(title=title, title_justify="left", box=None, pad_edge=False)
         table.add_column("signal")
-        table.add_column("value", justify="right", min_width=12)
+        table.add_column("value", justify="right", min_width=15)
         table.add_column("unit")
-        table.add_column(f"last {TRACE_SAMPLES} samples", min_width=TRACE_SAMPLES)
         for name in self.names:
             signal = protocol.SIGNALS[name]
-            values = [raw[name] for raw in self._recent]
-            shown = signal.shown(values[-1]) if values else ""
-            unit = "" if signal.unit == "1" else signal.unit
-            table.add_row(name, shown, unit, "" if name == "time_ms" else trace(values))
+            shown = signal.shown(self._columns[name][-1]) if len(self) else ""
+            table.add_row(name, shown, "" if signal.unit == "1" else signal.unit)
         return table
 
     def by_unit(self) -> dict[str, list[Signal]]:
@@ -73,25 +97,80 @@ class Watched:
         return groups
 
 
-def trace(values: Sequence[int]) -> str:
-    """Return a line of bars, lowest to highest of `values`; a level line when all are the same."""
-    if not values:
-        return ""
-    low, span = min(values), max(values) - min(values)
-    if span == 0:
-        return _BARS[0] * len(values)
-    return "".join(_BARS[(value - low) * (len(_BARS) - 1) // span] for value in values)
+class LivePlots:
+    """The last WINDOW_S of the numbers, one panel per unit, as many as the place has room for.
+
+    What has names instead of numbers, such as the state, is told by the table.
+    """
+
+    def __init__(self, watched: Watched) -> None:
+        self._watched = watched
+        groups = watched.by_unit()
+        numbers = [unit for unit in groups if unit not in protocol.NAMES_OF]
+        # Numbers without a unit last: they are mostly of interest in the table.
+        self._panels = {unit: groups[unit] for unit in sorted(numbers, key=lambda u: u == "1")}
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        """Draw for the place that is given."""
+        width, height = options.max_width, options.height or console.height
+        if len(self._watched) == 0:
+            return
+        t_s = self._watched.time_s()
+        begin = int(np.searchsorted(t_s, t_s[-1] - WINDOW_S))
+        rows = grid(len(self._panels), width, height)
+        plotext.main()
+        plotext.clear_figure()
+        plotext.limit_size(False, False)
+        plotext.plot_size(width, height)
+        plotext.subplots(len(rows), 1)
+        units = iter(self._panels.items())
+        for row, columns in enumerate(rows, start=1):
+            strip = plotext.main().subplot(row, 1)
+            strip.subplots(1, columns)
+            for column in range(1, columns + 1):
+                strip.subplot(1, column)
+                self._draw(*next(units), t_s[begin:] - t_s[-1], begin)
+        if rows:
+            yield Text.from_ansi(plotext.main().build())
+
+    def _draw(self, unit: str, signals: list[Signal], t_s: Floats, begin: int) -> None:
+        """Draw signals, from sample `begin` on, into the panel that plotext has chosen."""
+        plotext.theme("clear")
+        plotext.title(unit)
+        plotext.xlim(-WINDOW_S, 0.0)
+        for signal, color in zip(signals, itertools.cycle(COLORS), strict=False):
+            values = self._watched.values(signal, begin)
+            plotext.plot(t_s, values, label=signal.name, marker="braille", color=color)
+
+
+def grid(panels: int, width: int, height: int) -> list[int]:
+    """Return the number of panels in each row: as many as have room, in as few columns as do."""
+    rows, columns = height // PANEL_ROWS, width // PANEL_COLUMNS
+    shown = min(panels, rows * columns)
+    if shown == 0:
+        return []
+    rows = -(-shown // -(-shown // rows))
+    return [shown // rows + (row < shown % rows) for row in range(rows)]
+
+
+def live_view(watched: Watched, title: str, console: Console) -> Layout:
+    """Return table and plots side by side for the whole of a terminal."""
+    table = watched.table(title)
+    view = Layout()
+    view.split_row(
+        Layout(table, size=console.measure(table).maximum + 1), Layout(LivePlots(watched))
+    )
+    return view
 
 
 def plot(watched: Watched, path: Path) -> None:
     """Draw all samples over time, one panel per unit, to a .png, .svg or .pdf file."""
     groups = watched.by_unit()
     figure, axes = plots.new_figure(len(groups), 1, (8.0, 1.0 + 1.6 * len(groups)))
-    t_s = np.array([raw["time_ms"] for raw in watched.samples]) / 1000
+    t_s = watched.time_s()
     for axis, (unit, signals) in zip(axes, groups.items(), strict=True):
         for signal in signals:
-            values = [signal.value(raw[signal.name]) for raw in watched.samples]
-            axis.plot(t_s, values, label=signal.name, linewidth=0.9)
+            axis.plot(t_s, watched.values(signal), label=signal.name, linewidth=0.9)
         names = protocol.NAMES_OF.get(unit)
         if names is not None:
             axis.set_yticks(range(len(names)), names, fontsize="x-small")
