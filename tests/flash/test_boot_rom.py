@@ -137,7 +137,7 @@ def test_no_chip(chip):
 
 
 def test_flash_is_refused_with_the_ways_there_are():
-    with pytest.raises(InputError, match=r"JTAG .* SPRC074"):
+    with pytest.raises(InputError, match=r"flash, which the boot ROM cannot write; omnislip flash"):
         boot_rom.transfer_bytes(image((0x44, [1])))
 
 

@@ -257,21 +257,33 @@ def flash(
     reset_by: Annotated[
         str | None, typer.Option(help="rts or dtr: that line resets the chip; else by hand.")
     ] = None,
+    kernel: Annotated[
+        Path | None,
+        typer.Option(help="Folder of TI's serial programmer SPRC074: the steps with it."),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Check a program for the LF2407A; load one for RAM through the chip's boot ROM, start it.
 
-    The chip must be reset with BOOT_EN low, before the transfer and after one that has failed.
+    The chip must be reset with BOOT_EN low, before the transfer and after one that has failed. For
+    a program that goes to flash sectors, the tools that write them are named.
     """
     from omnislip.flash.commands import load_ram, read_image, show_image
+    from omnislip.flash.sectors import kernel_steps, ways
 
     if reset_by not in (None, "rts", "dtr"):
         raise InputError(f"--reset-by must be rts or dtr, not {reset_by}")
+    if kernel is not None and port is not None:
+        raise InputError(
+            "--kernel: cannot be used with --port: the protocol of TI's kernel was never "
+            "published; without --port the steps with TI's own program are named"
+        )
     program = read_image(image)
+    steps = kernel_steps(program, kernel) if kernel is not None else ways(program)
     if as_json:
-        _print_json(program.as_dict())
+        _print_json(program.as_dict() | {"steps": steps})
     else:
-        show_image(program)
+        show_image(program, steps)
     if port is not None:
         load_ram(program, port, reset_by)
 

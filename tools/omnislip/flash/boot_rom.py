@@ -73,9 +73,8 @@ def transfer_bytes(image: Image) -> bytes:
     if not image.for_ram:
         flash = next(b for b in image.blocks if b.region is not None and not b.region.is_ram)
         raise InputError(
-            f"{image.path}: {flash.name} goes to flash, which the boot ROM cannot write; use JTAG "
-            "(XDS510 with TI's flash tools) or TI's serial programmer SPRC074, whose kernel is a "
-            "RAM image but whose protocol was never published"
+            f"{image.path}: {flash.name} goes to flash, which the boot ROM cannot write; "
+            f"omnislip flash {image.path} names the tools that do"
         )
     first, last = image.blocks[0], image.blocks[-1]
     if last.region is None or first.region != last.region:

@@ -30,8 +30,8 @@ def read_image(path: Path) -> Image:
     )
 
 
-def show_image(image: Image) -> None:
-    """Print what goes where."""
+def show_image(image: Image, steps: list[str]) -> None:
+    """Print what goes where, and the steps behind it."""
     table = Table(title=f"{image.path}: {image.format}", title_justify="left", box=None)
     for heading in ("section", "from", "to", "words", "memory"):
         table.add_column(heading, justify="left" if heading in ("section", "memory") else "right")
@@ -40,6 +40,8 @@ def show_image(image: Image) -> None:
         ends = (f"{block.address:04X}h", f"{block.end - 1:04X}h")
         table.add_row(block.name, *ends, str(len(block.words)), memory)
     Console().print(table)
+    for line in steps:
+        print(line)
 
 
 def load_ram(image: Image, port: str, reset_line: str | None) -> None:

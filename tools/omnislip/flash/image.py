@@ -3,7 +3,7 @@
 Memory of the LF2407A in microcontroller mode (SPRU357; those marked [M] from memory of it):
 
     0000-7FFF  flash; 0000-003F vectors, 0040-0043 password: whatever is programmed there but FFFFh
-               locks the chip
+               locks the chip; sectors of 4, 12, 12 and 4 K words [M]
     8000-87FF  SARAM, seen as program memory while PON = 1 [M]
     8800-FDFF  external
     FF00-FFFF  DARAM B0, while CNF = 1: the boot ROM sets it for destinations from FE00h on
@@ -19,6 +19,12 @@ from omnislip.errors import InputError
 
 PASSWORD = range(0x0040, 0x0044)
 ERASED = 0xFFFF
+FLASH_SECTORS = (
+    range(0x0000, 0x1000),
+    range(0x1000, 0x4000),
+    range(0x4000, 0x7000),
+    range(0x7000, 0x8000),
+)
 
 
 @dataclass(frozen=True)
@@ -71,12 +77,22 @@ class Image:
         """Whether all of it goes to RAM."""
         return all(block.region is not None and block.region.is_ram for block in self.blocks)
 
+    @property
+    def flash_sectors(self) -> list[int]:
+        """Numbers of the flash sectors that hold something of it."""
+        return [
+            number
+            for number, sector in enumerate(FLASH_SECTORS)
+            if any(b.address < sector.stop and sector.start < b.end for b in self.blocks)
+        ]
+
     def as_dict(self) -> dict[str, Any]:
         """Return what `omnislip flash --json` prints."""
         return {
             "file": str(self.path),
             "format": self.format,
             "for_ram": self.for_ram,
+            "flash_sectors": self.flash_sectors,
             "blocks": [
                 {
                     "name": block.name,
