@@ -5,6 +5,7 @@ import os
 import signal
 
 import pytest
+from omnislip.link import protocol
 from omnislip.log_file import read_log
 from omnislip.model_file import NOMINAL_ROBOT
 from served_robot import serve_robot
@@ -88,7 +89,9 @@ def test_set_from_a_model_file(omnislip, port, tmp_path):
 def test_get_prints_all_parameters(omnislip, port):
     ended = omnislip("link", port, "get")
     assert ended.status == 0
-    assert len(ended.stdout.splitlines()) > 60
+    heading, *rows = ended.stdout.splitlines()
+    assert heading.split() == ["name", "value", "unit", "limits", "default", "is"]
+    assert [row.split()[0] for row in rows] == list(protocol.PARAMETERS)
 
 
 def test_monitor(omnislip, port, tmp_path):

@@ -22,9 +22,13 @@ from omnislip import _core
 from omnislip.firmware_parameters import firmware_parameters
 from omnislip.gap.machine import Machine
 from omnislip.gap.recordings import Run, make_run
+from omnislip.link.drive import drive
+from omnislip.link.record import Recorder
+from omnislip.link.session import Session
 from omnislip.model_file import NOMINAL_ROBOT, read_model
 from omnislip.scenario import Scenario, read_scenario
 from omnislip.simulate import run_scenario, simulate_truth
+from omnislip.virtual_robot import VirtualLine, make_robot
 
 Array = npt.NDArray[np.float64]
 
@@ -64,6 +68,7 @@ def main() -> None:
     steps = _step_times()
     console.print(_models(steps))
     console.print(_closed_loops(steps["firmware"]))
+    console.print(_virtual_robots())
     console.print(_batches())
     if importlib.util.find_spec("mujoco") is None:
         console.print("MuJoCo is not installed: pip install mujoco")
@@ -132,6 +137,30 @@ def _closed_loop(
     follows = any(command["kind"] in ("velocity", "pose") for command in scenario.commands)
     yield f"{firmware_ns * 1e-6 * scenario.duration_s / spent:.0%}" if follows else "-"
     yield f"{1e3 * apart_m:.4f} mm"
+
+
+def _virtual_robots() -> Table:
+    """Drive and record over the serial line; the host's work is in it."""
+    table = _table(
+        "virtual robot driven and recorded at 200 rows/s, with the host, one core",
+        "firmware runs on",
+        "times real time",
+    )
+    scenario = read_scenario(SCENARIOS / "identification.toml")
+    model = read_model(NOMINAL_ROBOT)
+    for name, on_board in (("stub HAL", False), ("virtual LF2407A", True)):
+        spent = best_time_s(lambda own=on_board: _drive(make_robot(model, None, own), scenario))
+        table.add_row(name, f"{scenario.duration_s / spent:,.0f}")
+    return table
+
+
+def _drive(robot: _core.VirtualRobot, scenario: Scenario) -> None:
+    session = Session(VirtualLine(robot))
+    session.connect()
+    recorder = Recorder(session, 200)
+    recorder.start()
+    drive(session, scenario)
+    recorder.finish(scenario.name)
 
 
 def _batches() -> Table:

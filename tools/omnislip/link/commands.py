@@ -33,6 +33,7 @@ Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 Save = Annotated[bool, typer.Option("--save", help="Keep it in the robot's EEPROM.")]
 Rate = Annotated[int, typer.Option(help="Rows per second.")]
 STORE_TIME_S = 5.0
+PIPED_WIDTH = 200
 
 
 @app.callback()
@@ -414,7 +415,8 @@ def _print_parameters(
         return
     table = Table(box=None)
     for heading in ("name", "value", "unit", "limits", "default", "is"):
-        table.add_column(heading, justify="right" if heading in ("value", "default") else "left")
+        justify = "right" if heading in ("value", "default") else "left"
+        table.add_column(heading, justify=justify, no_wrap=heading not in ("limits", "is"))
     for name, row in rows.items():
         limits = f"{row['minimum']:.5g} to {row['maximum']:.5g}"
         table.add_row(
@@ -425,7 +427,8 @@ def _print_parameters(
             f"{row['default']:.6g}",
             row["description"],
         )
-    Console().print(table)
+    # Behind a pipe each parameter is one line.
+    (Console() if sys.stdout.isatty() else Console(width=PIPED_WIDTH)).print(table)
 
 
 @contextmanager
