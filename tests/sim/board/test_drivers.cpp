@@ -24,26 +24,24 @@ static void write_duty(const std::array<std::int16_t, 4> &duty_q15) {
 struct Step {
     const char *name;
     std::uint16_t value;
+    const char *rule = ""; /* of this write and those below it without one */
 };
 
 /* Every write from reset to the running tick, with the rule that puts it there. */
 static const Step kStartUp[] = {
-    /* Watchdog first: out of reset it overflows within milliseconds. Check pattern 101, slowest. */
-    {"WDCR", 0x00AF},
+    {"WDCR", 0x00AF,
+     "Watchdog first: out of reset it overflows within milliseconds. Check pattern 101, slowest"},
     {"WDKEY", 0x0055},
     {"WDKEY", 0x00AA},
-    /* Clocks before any register of a peripheral: times 4, ADC SCI SPI EVB EVA; ILLADR cleared. */
-    {"SCSR1", 0x00ED},
-    /* Flash, SARAM as data, bus driven; the watchdog's override is not touched. */
-    {"SCSR2", 0x000B},
-    /* WSGR in I/O space: 2 wait states for data (CPLD), 1 for I/O, none for program. */
-    {"FFFFh", 0x0050},
-    /* Not defined by reset: mask first, then flags. */
-    {"IMR", 0x0000},
+    {"SCSR1", 0x00ED,
+     "Clocks before any register of a peripheral: times 4, ADC SCI SPI EVB EVA; ILLADR cleared"},
+    {"SCSR2", 0x000B, "Flash, SARAM as data, bus driven; the watchdog's override is not touched"},
+    {"WSGR", 0x0050, "In I/O space: 2 wait states for data (CPLD), 1 for I/O, none for program"},
+    {"IMR", 0x0000, "Not defined by reset: mask first, then flags"},
     {"IFR", 0x003F},
-    /* EVA: stopped timer, period, units that never match, pins forced low; then the compare units
-     * with outputs still off; protection enabled; the timer last. */
-    {"T1CON", 0x0000},
+    {"T1CON", 0x0000,
+     "EVA: stopped timer, period, units that never match, pins forced low; then the compare units "
+     "with outputs still off; protection enabled; the timer last"},
     {"GPTCONA", 0x0000},
     {"T1CNT", 0x0000},
     {"T1PR", 0x07CF},
@@ -54,8 +52,7 @@ static const Step kStartUp[] = {
     {"COMCONA", 0x8000},
     {"EVAIMRA", 0x0001},
     {"T1CON", 0x9040},
-    /* EVB the same, half a period later. */
-    {"T3CON", 0x0000},
+    {"T3CON", 0x0000, "EVB the same, half a period later"},
     {"GPTCONB", 0x0000},
     {"T3CNT", 0x03E8},
     {"T3PR", 0x07CF},
@@ -66,19 +63,17 @@ static const Step kStartUp[] = {
     {"COMCONB", 0x8000},
     {"EVBIMRA", 0x0001},
     {"T3CON", 0x9040},
-    /* CPLD: first positions. */
-    {"8006h", 0x0000},
-    /* ADC: reset, window, five channels in order, sequencer reset and armed for EVA; T2 starts it.
-     */
-    {"ADCTRL1", 0x4000},
+    {"CPLD LATCH", 0x0000, "CPLD: first positions"},
+    {"ADCTRL1", 0x4000,
+     "ADC: reset, window, five channels in order, sequencer reset and armed for EVA; T2 starts it"},
     {"ADCTRL1", 0x0100},
     {"MAXCONV", 0x0004},
     {"CHSELSEQ1", 0x3210},
     {"CHSELSEQ2", 0x0004},
     {"ADCTRL2", 0x4300},
     {"GPTCONA", 0x0600},
-    /* SCI: held in reset while format and rate change, both interrupts at INT5, then released. */
-    {"SCICTL1", 0x0003},
+    {"SCICTL1", 0x0003,
+     "SCI: held in reset while format and rate change, both interrupts at INT5, then released"},
     {"SCICCR", 0x0007},
     {"SCIHBAUD", 0x0000},
     {"SCILBAUD", 0x002A},
@@ -86,27 +81,36 @@ static const Step kStartUp[] = {
     {"SCIPRI", 0x0060},
     {"SCICTL1", 0x0003},
     {"SCICTL1", 0x0023},
-    /* SPI: EEPROM deselected before anything moves; held in reset while the mode changes. */
-    {"PCDATDIR", 0x2020},
+    {"PCDATDIR", 0x2020,
+     "SPI: EEPROM deselected before anything moves; held in reset while the mode changes"},
     {"SPICCR", 0x0007},
     {"SPICTL", 0x000E},
     {"SPIBRR", 0x0013},
     {"SPICCR", 0x0087},
-    /* Pins last; MCRB keeps its emulator bits. */
-    {"MCRA", 0x03C3},
+    {"MCRA", 0x03C3, "Pins last; MCRB keeps its emulator bits"},
     {"MCRB", 0xFE1C},
     {"MCRC", 0x001E},
-    /* Tick: stopped timer, period and compare, flag cleared by its single bit, then enabled. */
-    {"T2CON", 0x0000},
+    {"T2CON", 0x0000,
+     "Tick: stopped timer, period and compare, flag cleared by its single bit, then enabled"},
     {"T2CNT", 0x0000},
     {"T2PR", 0x1387},
     {"T2CMPR", 0x1323},
     {"EVAIFRB", 0x0001},
     {"EVAIMRB", 0x0001},
     {"T2CON", 0x9342},
-    /* Interrupts last. */
-    {"IMR", 0x0014},
+    {"IMR", 0x0014, "Interrupts last"},
 };
+
+static std::string name_of(const BoardAccess &access) {
+    if (access.io_space)
+        return "WSGR";
+#define CPLD_REGISTER(name, offset, access_, bits, description) \
+    if (access.address == CPLD_BASE + (offset))                 \
+        return "CPLD " #name;
+#include "hal/cpld/registers.def"
+#undef CPLD_REGISTER
+    return Board::register_name(access.address);
+}
 
 static void start_up_writes_what_the_manual_asks_for(void) {
     Bench bench;
@@ -116,7 +120,7 @@ static void start_up_writes_what_the_manual_asks_for(void) {
     for (const BoardAccess &access : bench.board.accesses()) {
         if (!access.write)
             continue;
-        const std::string name = Board::register_name(access.address);
+        const std::string name = name_of(access);
         const std::string line = std::to_string(at + 1) + ": " + name;
         TEST_ASSERT_LESS_THAN_size_t(std::size(kStartUp), at);
         TEST_ASSERT_EQUAL_STRING_MESSAGE(kStartUp[at].name, name.c_str(), line.c_str());
@@ -569,11 +573,14 @@ static void print_start_up(void) {
     Bench bench;
     bench.board.record_accesses(true);
     bench.start();
+    std::size_t writes = 0;
     for (const BoardAccess &access : bench.board.accesses()) {
-        std::printf("%9.3f us  %s %-9s %04X\n",
+        const bool listed = access.write && writes < std::size(kStartUp);
+        std::printf("%9.3f us  %s %-13s %04X  %s\n",
                     static_cast<double>(access.time) * kBoardTime_s * 1e6,
-                    access.write ? "write" : "read ", Board::register_name(access.address).c_str(),
-                    access.value);
+                    access.write ? "write" : "read ", name_of(access).c_str(), access.value,
+                    listed ? kStartUp[writes].rule : "");
+        writes += access.write;
     }
 }
 
