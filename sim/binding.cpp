@@ -273,6 +273,50 @@ class Engine {
         });
     }
 
+    nb::tuple likelihoods_of(const std::vector<const Recording *> &recordings,
+                             const std::vector<const Track *> &tracks, const Array2 &process,
+                             const Array2 &output, const Array2 &initial, const Array1 &timing_s2,
+                             const Array1 &unresolved, const Array1 &unresolved_current) const {
+        const std::size_t sets = process.shape(0);
+        const std::size_t states = static_cast<std::size_t>(kernel_->states());
+        const std::size_t outputs = static_cast<std::size_t>(kernel_->outputs());
+        check_tracks(recordings, tracks);
+        for (const Track *track : tracks)
+            require(!track->transition.empty(), "the track did not keep its matrices");
+        require(process.shape(1) == states && initial.shape(1) == states &&
+                    output.shape(1) == outputs && output.shape(0) == sets &&
+                    initial.shape(0) == sets && timing_s2.shape(0) == sets &&
+                    unresolved.shape(0) == sets && unresolved_current.shape(0) == sets,
+                "noise arrays have the wrong shape");
+        std::vector<Noise> noises(sets);
+        for (std::size_t i = 0; i < sets; ++i) {
+            const auto row = [i](const Array2 &a) {
+                return std::vector<double>(a.data() + i * a.shape(1),
+                                           a.data() + (i + 1) * a.shape(1));
+            };
+            noises[i] = {row(process),          row(output),           row(initial),
+                         timing_s2.data()[i], unresolved.data()[i], unresolved_current.data()[i]};
+        }
+        std::vector<double> log_likelihood(sets, 0.0);
+        std::vector<std::vector<double>> covariance;
+        std::vector<double *> pointers;
+        for (const Recording *r : recordings) {
+            covariance.emplace_back(sets * static_cast<std::size_t>(r->rows) * outputs * outputs,
+                                   0.0);
+            pointers.push_back(covariance.back().data());
+        }
+        {
+            nb::gil_scoped_release release;
+            likelihoods(*kernel_, recordings, tracks, noises, log_likelihood.data(), pointers);
+        }
+        nb::list arrays;
+        for (std::size_t i = 0; i < covariance.size(); ++i) {
+            const std::size_t rows = static_cast<std::size_t>(recordings[i]->rows);
+            arrays.append(to_numpy(std::move(covariance[i]), {sets, rows, outputs, outputs}));
+        }
+        return nb::make_tuple(to_numpy(std::move(log_likelihood), {sets}), arrays);
+    }
+
     nb::object derivatives_of(const Array1 &values, const Array2 &states,
                               const Array2 &commands) const {
         check_size(values.shape(0));
@@ -292,16 +336,21 @@ class Engine {
                 "a parameter set has the wrong length");
     }
 
-    template <class Work>
-    nb::list batch(const std::vector<const Recording *> &recordings,
-                   const std::vector<const Track *> &tracks, const Array2 &values,
-                   Work &&work) const {
-        check_size(values.shape(1));
+    static void check_tracks(const std::vector<const Recording *> &recordings,
+                             const std::vector<const Track *> &tracks) {
         require(recordings.size() == tracks.size(), "one track per recording");
         for (std::size_t i = 0; i < tracks.size(); ++i) {
             require(tracks[i]->innovation.size() == recordings[i]->output.size(),
                     "a track belongs to another recording");
         }
+    }
+
+    template <class Work>
+    nb::list batch(const std::vector<const Recording *> &recordings,
+                   const std::vector<const Track *> &tracks, const Array2 &values,
+                   Work &&work) const {
+        check_size(values.shape(1));
+        check_tracks(recordings, tracks);
         const std::size_t sets = values.shape(0);
         const std::size_t outputs = static_cast<std::size_t>(kernel_->outputs());
         for (std::size_t first = 0; first < values.shape(0); first += kernel_->lanes()) {
@@ -603,6 +652,8 @@ void bind_replay(nb::module_ &m) {
         .def("track", &Engine::tracks_of, "recordings"_a, "values"_a, "process"_a, "output"_a,
              "initial"_a, "timing_s2"_a = 0.0, "unresolved"_a = 0.0, "unresolved_current"_a = 0.0,
              "step_s"_a = 1e-3, "window_s"_a = 1.0, "keep_linear"_a = false)
+        .def("likelihoods", &Engine::likelihoods_of, "recordings"_a, "tracks"_a, "process"_a,
+             "output"_a, "initial"_a, "timing_s2"_a, "unresolved"_a, "unresolved_current"_a)
         .def("innovations", &Engine::innovations_of, "recordings"_a, "tracks"_a, "values"_a,
              "step_s"_a = 1e-3)
         .def("replays", &Engine::replays_of, "recordings"_a, "tracks"_a, "values"_a,

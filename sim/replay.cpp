@@ -32,6 +32,20 @@ std::unique_ptr<Kernel> make_kernel(int kind, int, const UserTermList &terms) {
 }
 #endif
 
+double change_into(const Recording &recording, int motors, int k, int motor) {
+    const std::size_t place =
+        static_cast<std::size_t>(k) * static_cast<std::size_t>(motors) + static_cast<std::size_t>(motor);
+    return k > 0 ? recording.command[place] -
+                       recording.command[place - static_cast<std::size_t>(motors)]
+                 : 0.0;
+}
+
+double squared_change(const Recording &recording, int motors, int k, int motor) {
+    const double into = change_into(recording, motors, k, motor);
+    const double out = change_into(recording, motors, k + 1, motor);
+    return 0.5 * (into * into + out * out);
+}
+
 namespace {
 
 using Matrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
@@ -97,22 +111,6 @@ class RowUpdate {
   private:
     int states_, outputs_;
 };
-
-/* Change of a motor's command into row k. */
-double change_into(const Recording &recording, int motors, std::size_t k, int motor) {
-    const std::size_t place =
-        k * static_cast<std::size_t>(motors) + static_cast<std::size_t>(motor);
-    return k > 0 ? recording.command[place] -
-                       recording.command[place - static_cast<std::size_t>(motors)]
-                 : 0.0;
-}
-
-/* Mean square change of a motor's command into and out of row k. */
-double squared_change(const Recording &recording, int motors, std::size_t k, int motor) {
-    const double into = change_into(recording, motors, k, motor);
-    const double out = change_into(recording, motors, k + 1, motor);
-    return 0.5 * (into * into + out * out);
-}
 
 std::atomic<int> most_threads{std::max(1, static_cast<int>(std::thread::hardware_concurrency()))};
 
@@ -180,7 +178,7 @@ Track track(const Kernel &kernel, const Recording &recording, const double *valu
         if (keep_linear)
             std::copy(slope.data(), slope.data() + m * n, &result.slope[k * m * n]);
         for (int i = m - kernel.current_outputs(), motor = 0; i < m; ++i, ++motor) {
-            const double change = change_into(recording, motors, k, motor);
+            const double change = change_into(recording, motors, static_cast<int>(k), motor);
             variance[i] = noise.output[static_cast<std::size_t>(i)] +
                           0.25 * noise.unresolved_current * change * change;
         }
@@ -212,7 +210,8 @@ Track track(const Kernel &kernel, const Recording &recording, const double *valu
         /* The ways follow the speeds in the state of a machine that has them. */
         for (int i = 0; noise.unresolved > 0.0 && i < motors; ++i) {
             grown[motors + i] +=
-                noise.unresolved * way * way * squared_change(recording, motors, k, i);
+                noise.unresolved * way * way *
+                squared_change(recording, motors, static_cast<int>(k), i);
         }
         p = transition * p * transition.transpose();
         p.diagonal() += grown;
@@ -257,6 +256,25 @@ void replays(const Kernel &kernel, const std::vector<const Recording *> &recordi
                        kernel.replays(*recordings[r], *tracks[r], values, count, step_s, window_s,
                                       errors[r] + first * plane);
                    });
+}
+
+void likelihoods(const Kernel &kernel, const std::vector<const Recording *> &recordings,
+                 const std::vector<const Track *> &tracks, const std::vector<Noise> &noises,
+                 double *log_likelihood, const std::vector<double *> &covariance) {
+    const int count = static_cast<int>(noises.size()), lanes = kernel.lanes();
+    const int groups = (count + lanes - 1) / lanes, all = static_cast<int>(recordings.size());
+    std::vector<double> of_run(recordings.size() * noises.size(), 0.0);
+    in_parallel(all * groups, [&](int task) {
+        const std::size_t r = static_cast<std::size_t>(task / groups);
+        const int first = (task % groups) * lanes;
+        const long plane = static_cast<long>(recordings[r]->rows) * kernel.outputs() * kernel.outputs();
+        kernel.likelihoods(*recordings[r], *tracks[r], &noises[static_cast<std::size_t>(first)],
+                           std::min(lanes, count - first),
+                           &of_run[r * noises.size() + static_cast<std::size_t>(first)],
+                           covariance[r] + first * plane);
+    });
+    for (std::size_t i = 0; i < of_run.size(); ++i)
+        log_likelihood[i % noises.size()] += of_run[i];
 }
 
 }  // namespace omnislip

@@ -307,7 +307,173 @@ class KernelOf final : public Kernel {
         }
     }
 
+    void likelihoods(const Recording &recording, const Track &track, const Noise *noises,
+                     int count, double *log_likelihood, double *covariance) const override {
+        const auto of_each = [&](auto &&number) {
+            return from_lanes<S>([&](int i) { return number(noises[i < count ? i : count - 1]); });
+        };
+        const S lateness_s = of_each([](const Noise &n) { return std::sqrt(n.timing_s2); });
+        const S unresolved = of_each([](const Noise &n) { return n.unresolved; });
+        const S unresolved_current = of_each([](const Noise &n) { return n.unresolved_current; });
+        S process[kStates], output[kOutputs], late[kOutputs], total(0.0);
+        /* Covariance of the state, and how far this filter's state is from the track's. */
+        S p[kStates][kStates], apart[kStates];
+        for (int i = 0; i < kStates; ++i) {
+            process[i] = of_each([i](const Noise &n) { return n.process[i]; });
+            std::fill_n(p[i], kStates, S(0.0));
+            p[i][i] = of_each([i](const Noise &n) { return n.initial[i]; });
+            apart[i] = S(0.0);
+        }
+        for (int j = 0; j < kOutputs; ++j) {
+            output[j] = of_each([j](const Noise &n) { return n.output[j]; });
+            late[j] = S(0.0);
+        }
+        const long plane = static_cast<long>(recording.rows) * kOutputs * kOutputs;
+        for (int k = 0; k < recording.rows; ++k) {
+            const double *slope = &track.slope[k * kOutputs * kStates];
+            S variance[kOutputs];
+            std::copy_n(output, kOutputs, variance);
+            for (int i = 0; i < current_outputs(); ++i) {
+                const double change = change_into(recording, kMotors, k, i);
+                variance[kOutputs - kMotors + i] += S(0.25 * change * change) * unresolved_current;
+            }
+            update(track, k, slope, variance, late, p, apart, total, count,
+                   covariance + k * kOutputs * kOutputs, plane);
+            if (k + 1 == recording.rows)
+                break;
+            const double duration_s = recording.time_s[k + 1] - recording.time_s[k];
+            double moved[kStates];
+            moved_by(track, k, moved);
+            for (int j = 0; j < kOutputs; ++j) {
+                double way = 0.0;
+                for (int i = 0; i < kStates; ++i)
+                    way += slope[j * kStates + i] * moved[i];
+                late[j] = S(way / duration_s) * lateness_s;
+            }
+            carry(&track.transition[k * kStates * kStates], p, apart);
+            for (int i = 0; i < kStates; ++i)
+                p[i][i] += process[i] * S(duration_s);
+            const double way = duration_s * duration_s / 12.0;
+            for (int i = 0; i < kMotors && kMotors + i < kStates; ++i) {
+                p[kMotors + i][kMotors + i] +=
+                    unresolved * S(way * way * squared_change(recording, kMotors, k, i));
+            }
+        }
+        for (int i = 0; i < count; ++i)
+            log_likelihood[i] += lane(total, i);
+    }
+
   private:
+    /* One row of the filter of `likelihoods`. With S = L L', white = e / L and G = P H' / L':
+     * K e = G white and P falls by G G'. */
+    static void update(const Track &track, int k, const double *slope, const S *variance,
+                       const S *late, S (&p)[kStates][kStates], S *apart, S &total, int count,
+                       double *covariance, long plane) {
+        const double *shown = &track.innovation[k * kOutputs];
+        int sampled[kOutputs], m = 0;
+        for (int j = 0; j < kOutputs; ++j) {
+            if (shown[j] == shown[j])
+                sampled[m++] = j;
+        }
+        S g[kOutputs][kStates], white[kOutputs], root[kOutputs][kOutputs], per_root[kOutputs];
+        alignas(64) double spread[kLanes];
+        for (int a = 0; a < m; ++a) {
+            const double *h = slope + sampled[a] * kStates;
+            S ph[kStates], innovation(shown[sampled[a]]);
+            std::fill_n(ph, kStates, S(0.0));
+            for (int j = 0; j < kStates; ++j) {
+                if (h[j] == 0.0)
+                    continue;
+                innovation -= S(h[j]) * apart[j];
+                for (int i = 0; i < kStates; ++i)
+                    ph[i] += S(h[j]) * p[i][j];
+            }
+            for (int b = 0; b <= a; ++b) {
+                S sum = late[sampled[a]] * late[sampled[b]];
+                const double *other = slope + sampled[b] * kStates;
+                for (int i = 0; i < kStates; ++i) {
+                    if (other[i] != 0.0)
+                        sum += S(other[i]) * ph[i];
+                }
+                if (a == b)
+                    sum += variance[sampled[a]];
+                sum.store_aligned(spread);
+                for (int s = 0; s < count; ++s) {
+                    double *own = covariance + s * plane;
+                    own[sampled[a] * kOutputs + sampled[b]] = spread[s];
+                    own[sampled[b] * kOutputs + sampled[a]] = spread[s];
+                }
+                for (int c = 0; c < b; ++c)
+                    sum -= root[a][c] * root[b][c];
+                root[a][b] = a == b ? sqrt(sum) : sum * per_root[b];
+            }
+            per_root[a] = S(1.0) / root[a][a];
+            for (int c = 0; c < a; ++c) {
+                innovation -= root[a][c] * white[c];
+                for (int i = 0; i < kStates; ++i)
+                    ph[i] -= root[a][c] * g[c][i];
+            }
+            white[a] = innovation * per_root[a];
+            for (int i = 0; i < kStates; ++i)
+                g[a][i] = ph[i] * per_root[a];
+            total += log(per_root[a]) - S(0.5) * white[a] * white[a] - S(0.5 * std::log(2.0 * kPi));
+        }
+        for (int i = 0; i < kStates; ++i) {
+            double corrected = 0.0;
+            for (int a = 0; a < m; ++a)
+                corrected += track.gain[(k * kStates + i) * kOutputs + sampled[a]] * shown[sampled[a]];
+            apart[i] -= S(corrected);
+            for (int a = 0; a < m; ++a) {
+                apart[i] += g[a][i] * white[a];
+                for (int j = 0; j < kStates; ++j)
+                    p[i][j] -= g[a][i] * g[a][j];
+            }
+        }
+    }
+
+    /* What the track's state moved by from row k to the next, before the measurements there. */
+    static void moved_by(const Track &track, int k, double *moved) {
+        const double *shown = &track.innovation[(k + 1) * kOutputs];
+        for (int i = 0; i < kStates; ++i) {
+            moved[i] = track.state[(k + 1) * kStates + i] - track.state[k * kStates + i];
+            for (int j = 0; j < kOutputs; ++j) {
+                if (shown[j] == shown[j])
+                    moved[i] -= track.gain[((k + 1) * kStates + i) * kOutputs + j] * shown[j];
+            }
+        }
+    }
+
+    /* apart -> F apart, P -> F P F'; F has many zeros. */
+    static void carry(const double *transition, S (&p)[kStates][kStates], S *apart) {
+        S half[kStates][kStates], moved[kStates];
+        for (int i = 0; i < kStates; ++i) {
+            moved[i] = S(0.0);
+            std::fill_n(half[i], kStates, S(0.0));
+            for (int l = 0; l < kStates; ++l) {
+                const double f = transition[i * kStates + l];
+                if (f == 0.0)
+                    continue;
+                moved[i] += S(f) * apart[l];
+                for (int j = 0; j < kStates; ++j)
+                    half[i][j] += S(f) * p[l][j];
+            }
+        }
+        std::copy_n(moved, kStates, apart);
+        for (int j = 0; j < kStates; ++j) {
+            S column[kStates];
+            std::fill_n(column, kStates, S(0.0));
+            for (int l = 0; l < kStates; ++l) {
+                const double f = transition[j * kStates + l];
+                if (f == 0.0)
+                    continue;
+                for (int i = j; i < kStates; ++i)
+                    column[i] += S(f) * half[i][l];
+            }
+            for (int i = j; i < kStates; ++i)
+                p[i][j] = p[j][i] = column[i];
+        }
+    }
+
     /* Lane 0 holds the state, lane j + 1 the state with component first + j moved by `probe`. */
     static void seed(const double *state, int first, double probe, S *x) {
         alignas(64) double spread[kLanes];

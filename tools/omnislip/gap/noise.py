@@ -21,7 +21,7 @@ Array = npt.NDArray[np.float64]
 SHAFT, BODY, YAW = slice(0, 4), slice(8, 10), 10
 GYRO, POSE_XY, HEADING, SUPPLY, CURRENT = 4, slice(5, 7), 7, 8, slice(9, 13)
 TUNING_TIME_S = 12.0
-FIRST_ROUNDS, LATER_ROUNDS, TRIALS = 16, 4, 4
+PATHS, ROUNDS, TRIALS = 4, 12, 4
 PROBE = 0.2
 PULL = 0.04
 """Information of the guess about each logarithm: a standard deviation of five."""
@@ -85,61 +85,102 @@ def tune_noise(
 ) -> Noise:
     """Fit the variances on some 12 s of the runs by maximum likelihood.
 
-    Fisher scoring in the logarithms, damped as by Levenberg and Marquardt. With W_k the whitening
-    of row k, what variance i does to the innovation's covariance is
-    D_ik = W_k (dS_k / d log v_i) W_k', and the information is I_ij = sum_k tr(D_ik D_jk) / 2.
+    Fisher scoring in the logarithms, damped as by Levenberg and Marquardt, along the path of a
+    filter, which is then followed again with the noise that was found.
     `start` is a noise that was fitted before; from there few steps are enough.
     """
     chosen = _some_runs(runs)
     make, start_of = NOISES[machine.kind]
     guess = start_of(chosen)
-    logs = guess if start is None else start.logs
-
-    def look(logs: Array) -> tuple[float, Array]:
-        tracks = track_all(machine, chosen, values, make(machine, logs))
-        total = sum(t.log_likelihood for t in tracks) - np.sum((logs - guess) ** 2) * PULL / 2
-        m = machine.engine.outputs
-        return float(total), np.concatenate([t.whitening.reshape(-1, m, m) for t in tracks])
-
-    best, whitening = look(logs)
-    damping = 1.0
-    for _ in range(FIRST_ROUNDS if start is None else LATER_ROUNDS):
-        slope, information = _score(look, logs, best, whitening)
-        slope -= PULL * (logs - guess)
-        information += PULL * np.eye(len(logs))
-        for _ in range(TRIALS):
-            damped = information + damping * np.diag(np.diag(information))
-            step = np.clip(np.linalg.solve(damped, slope), -2.0, 2.0)
-            step = np.maximum(step, guess - LEAST - logs)
-            total, seen = look(logs + step)
-            damping *= 0.2 if total > best else 5.0
-            if total > best:
-                break
-        else:
+    logs = trial = guess if start is None else start.logs
+    best = -np.inf
+    for _ in range(PATHS):
+        path = _Path(machine, chosen, values, lambda v: make(machine, v), guess, trial)
+        if path.log_likelihood < best:  # too far from the path that it was linear along
             break
-        gained, best, whitening, logs = total - best, total, seen, logs + step
+        best, logs = path.log_likelihood, trial
+        gained, trial = path.climb(logs)
         if gained < CONVERGED:
             break
     return make(machine, logs)
 
 
-def _score(
-    look: Callable[[Array], tuple[float, Array]], logs: Array, here: float, whitening: Array
-) -> tuple[Array, Array]:
-    """Return slope of the log-likelihood and information at `logs`."""
-    count, m = len(logs), whitening.shape[-1]
-    unsampled = np.eye(m) * (np.diagonal(whitening, axis1=1, axis2=2) == 0)[:, None, :]
-    likelihoods, changes = np.empty(count), np.empty((count, whitening.size))
-    for i in range(count):
-        probe = logs.copy()
-        probe[i] += PROBE
-        likelihoods[i], other = look(probe)
-        # W S W' with S of the probed variances
-        root = np.linalg.solve((other + unsampled).transpose(0, 2, 1), whitening.transpose(0, 2, 1))
-        change = root.transpose(0, 2, 1) @ root - np.eye(m) * (1 - unsampled)
-        changes[i] = change.ravel() / PROBE
-    information = 0.5 * changes @ changes.T
-    return (likelihoods - here) / PROBE + 0.5 * PROBE * np.diag(information), information
+class _Path:
+    """The filter with the noise of `logs` over some runs: the likelihood of others near its path.
+
+    Their prior: a logarithm is likely near its guess.
+    """
+
+    def __init__(
+        self,
+        machine: Machine,
+        runs: Sequence[Run],
+        values: Array,
+        make: Callable[[Array], Noise],
+        guess: Array,
+        logs: Array,
+    ) -> None:
+        self._engine, self._make, self._guess = machine.engine, make, guess
+        self._recordings = [run.recording for run in runs]
+        self._tracks = track_all(machine, runs, values, make(logs), keep_linear=True)
+        total = sum(track.log_likelihood for track in self._tracks)
+        self.log_likelihood = total - self._pull(logs)
+
+    def climb(self, logs: Array) -> tuple[float, Array]:
+        """Return the gain of the log-likelihood and the logarithms at its maximum."""
+        damping, whole = 1.0, 0.0
+        for _ in range(ROUNDS):
+            here, slope, information = self._score(logs)
+            trials = []
+            for k in range(TRIALS):
+                damped = information + damping * 5.0**k * np.diag(np.diag(information))
+                step = np.clip(np.linalg.solve(damped, slope), -2.0, 2.0)
+                trials.append(np.maximum(logs + step, self._guess - LEAST))
+            totals, _ = self._look(np.array(trials))
+            best = int(np.argmax(totals))
+            gained = float(totals[best]) - here
+            if not gained > 0:
+                break
+            whole, logs, damping = whole + gained, trials[best], damping * 5.0**best * 0.2
+            if gained < CONVERGED:
+                break
+        return whole, logs
+
+    def _look(self, many: Array) -> tuple[Array, Array]:
+        """Return log-likelihoods (sets,) and covariances of the innovations (sets, rows, m, m)."""
+        noises = [self._make(logs) for logs in many]
+        totals, covariance = self._engine.likelihoods(
+            self._recordings,
+            self._tracks,
+            np.stack([n.process for n in noises]),
+            np.stack([n.output for n in noises]),
+            np.stack([n.initial for n in noises]),
+            np.array([n.timing_s2 for n in noises]),
+            np.array([n.unresolved for n in noises]),
+            np.array([n.unresolved_current for n in noises]),
+        )
+        return totals - self._pull(many), np.concatenate(covariance, axis=1)
+
+    def _pull(self, logs: Array) -> Array:
+        return np.sum((logs - self._guess) ** 2, axis=-1) * PULL / 2
+
+    def _score(self, logs: Array) -> tuple[float, Array, Array]:
+        """Return log-likelihood, its slope and the information at `logs`.
+
+        With S_k = L L' the covariance of row k, what variance i does to it is
+        D_ik = L^-1 (dS_k / d log v_i) L'^-1, and the information is I_ij = sum_k tr(D_ik D_jk) / 2.
+        """
+        count = len(logs)
+        totals, covariance = self._look(np.vstack([logs, logs + PROBE * np.eye(count)]))
+        m = covariance.shape[-1]
+        unsampled = np.diagonal(covariance[0], axis1=1, axis2=2) == 0
+        root = np.linalg.cholesky(covariance[0] + np.eye(m) * unsampled[:, None, :])
+        white = np.linalg.inv(root)
+        changes = (white @ (covariance[1:] - covariance[0]) @ white.transpose(0, 2, 1)) / PROBE
+        changes = changes.reshape(count, -1)
+        information = 0.5 * changes @ changes.T + PULL * np.eye(count)
+        slope = (totals[1:] - totals[0]) / PROBE + 0.5 * PROBE * np.diag(information)
+        return float(totals[0]), slope, information
 
 
 def _some_runs(runs: Sequence[Run]) -> list[Run]:
