@@ -243,15 +243,18 @@ class Engine {
     std::vector<Track> tracks_of(const std::vector<const Recording *> &recordings,
                                  const Array1 &values, const Array1 &process, const Array1 &output,
                                  const Array1 &initial, double timing_s2, double unresolved,
-                                 double unresolved_current, double step_s, double window_s,
+                                 double unresolved_current, const std::vector<double> &coloured,
+                                 double colour_rate_1_s, double step_s, double window_s,
                                  bool keep_linear) const {
         check_size(values.shape(0));
         require_rate(kernel_->fastest_rate_1_s(values.data(), 1));
-        const Noise noise{to_vector(process), to_vector(output), to_vector(initial),
-                          timing_s2,          unresolved,        unresolved_current};
+        const Noise noise{to_vector(process),  to_vector(output), to_vector(initial),
+                          timing_s2,           unresolved,        unresolved_current,
+                          coloured,            colour_rate_1_s};
         require(noise.process.size() == static_cast<std::size_t>(kernel_->states()) &&
                     noise.initial.size() == noise.process.size() &&
-                    noise.output.size() == static_cast<std::size_t>(kernel_->outputs()),
+                    noise.output.size() == static_cast<std::size_t>(kernel_->outputs()) &&
+                    (noise.coloured.empty() || noise.coloured.size() == pushes()),
                 "noise vectors have the wrong length");
         nb::gil_scoped_release release;
         return track_all(*kernel_, recordings, values.data(), noise, step_s, window_s, keep_linear);
@@ -276,7 +279,8 @@ class Engine {
     nb::tuple likelihoods_of(const std::vector<const Recording *> &recordings,
                              const std::vector<const Track *> &tracks, const Array2 &process,
                              const Array2 &output, const Array2 &initial, const Array1 &timing_s2,
-                             const Array1 &unresolved, const Array1 &unresolved_current) const {
+                             const Array1 &unresolved, const Array1 &unresolved_current,
+                             const Array2 &coloured, const Array1 &colour_rate_1_s) const {
         const std::size_t sets = process.shape(0);
         const std::size_t states = static_cast<std::size_t>(kernel_->states());
         const std::size_t outputs = static_cast<std::size_t>(kernel_->outputs());
@@ -286,7 +290,9 @@ class Engine {
         require(process.shape(1) == states && initial.shape(1) == states &&
                     output.shape(1) == outputs && output.shape(0) == sets &&
                     initial.shape(0) == sets && timing_s2.shape(0) == sets &&
-                    unresolved.shape(0) == sets && unresolved_current.shape(0) == sets,
+                    unresolved.shape(0) == sets && unresolved_current.shape(0) == sets &&
+                    coloured.shape(0) == sets && coloured.shape(1) == pushes() &&
+                    colour_rate_1_s.shape(0) == sets,
                 "noise arrays have the wrong shape");
         std::vector<Noise> noises(sets);
         for (std::size_t i = 0; i < sets; ++i) {
@@ -294,8 +300,9 @@ class Engine {
                 return std::vector<double>(a.data() + i * a.shape(1),
                                            a.data() + (i + 1) * a.shape(1));
             };
-            noises[i] = {row(process),          row(output),           row(initial),
-                         timing_s2.data()[i], unresolved.data()[i], unresolved_current.data()[i]};
+            noises[i] = {row(process),         row(output),          row(initial),
+                         timing_s2.data()[i],  unresolved.data()[i], unresolved_current.data()[i],
+                         row(coloured),        colour_rate_1_s.data()[i]};
         }
         std::vector<double> log_likelihood(sets, 0.0);
         std::vector<std::vector<double>> covariance;
@@ -331,6 +338,10 @@ class Engine {
     }
 
   private:
+    std::size_t pushes() const {
+        return static_cast<std::size_t>(kernel_->pushes());
+    }
+
     void check_size(std::size_t size) const {
         require(size == static_cast<std::size_t>(kernel_->parameters()),
                 "a parameter set has the wrong length");
@@ -640,6 +651,11 @@ void bind_replay(nb::module_ &m) {
         .def(nb::init<const std::string &, int, const nb::list &, bool>(), "kind"_a,
              "widest_lanes"_a = 8, "user_effects"_a = nb::list(), "electric"_a = false)
         .def_prop_ro("states", [](const Engine &e) { return e.kernel().states(); })
+        .def_prop_ro("pushes", [](const Engine &e) { return e.kernel().pushes(); },
+                     "Disturbances: states of the filter behind those of the plant.")
+        .def_prop_ro("filter_states", [](const Engine &e) {
+            return e.kernel().states() + e.kernel().pushes();
+        })
         .def_prop_ro("outputs", [](const Engine &e) { return e.kernel().outputs(); })
         .def_prop_ro("motors", [](const Engine &e) { return e.kernel().motors(); })
         .def_prop_ro("parameters", [](const Engine &e) { return e.kernel().parameters(); })
@@ -651,9 +667,10 @@ void bind_replay(nb::module_ &m) {
         .def("derivatives", &Engine::derivatives_of, "values"_a, "states"_a, "commands"_a)
         .def("track", &Engine::tracks_of, "recordings"_a, "values"_a, "process"_a, "output"_a,
              "initial"_a, "timing_s2"_a = 0.0, "unresolved"_a = 0.0, "unresolved_current"_a = 0.0,
-             "step_s"_a = 1e-3, "window_s"_a = 1.0, "keep_linear"_a = false)
+             "coloured"_a = std::vector<double>(), "colour_rate_1_s"_a = 100.0, "step_s"_a = 1e-3, "window_s"_a = 1.0, "keep_linear"_a = false)
         .def("likelihoods", &Engine::likelihoods_of, "recordings"_a, "tracks"_a, "process"_a,
-             "output"_a, "initial"_a, "timing_s2"_a, "unresolved"_a, "unresolved_current"_a)
+             "output"_a, "initial"_a, "timing_s2"_a, "unresolved"_a, "unresolved_current"_a,
+             "coloured"_a, "colour_rate_1_s"_a)
         .def("innovations", &Engine::innovations_of, "recordings"_a, "tracks"_a, "values"_a,
              "step_s"_a = 1e-3)
         .def("replays", &Engine::replays_of, "recordings"_a, "tracks"_a, "values"_a,

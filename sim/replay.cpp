@@ -92,7 +92,7 @@ class RowUpdate {
         const Matrix learned = k * ph.transpose();
         for (int i = 0; i < states_; ++i)
             correction_variance[i] = learned(i, i);
-        x.head(states_) += k * innovation;
+        x += k * innovation;
         p -= learned;
         p = (0.5 * (p + p.transpose())).eval();
         for (int a = 0; a < m; ++a) {
@@ -145,38 +145,48 @@ void for_each_group(const Kernel &kernel, int recordings, const ParameterSets &s
 
 Track track(const Kernel &kernel, const Recording &recording, const double *values,
             const Noise &noise, double step_s, double window_s, bool keep_linear) {
-    const int n = kernel.states(), m = kernel.outputs();
+    const int n = kernel.states(), m = kernel.outputs(), q = kernel.pushes(), all = n + q;
     const std::size_t rows = static_cast<std::size_t>(recording.rows);
     const std::shared_ptr<const void> loaded = kernel.load(values);
     Track result;
-    result.gain.assign(rows * n * m, 0.0);
+    result.gain.assign(rows * all * m, 0.0);
     result.whitening.assign(rows * m * m, 0.0);
-    result.state.assign(rows * n, 0.0);
+    result.state.assign(rows * all, 0.0);
     result.innovation.assign(rows * m, NAN);
-    result.correction_variance.assign(rows * n, 0.0);
+    result.correction_variance.assign(rows * all, 0.0);
     result.replay_variance.assign(rows * m, 0.0);
+    result.push.assign(rows * n * q, 0.0);
+    result.decay.assign(rows, 0.0);
     if (keep_linear) {
-        result.transition.assign(rows * n * n, 0.0);
-        result.slope.assign(rows * m * n, 0.0);
+        result.transition.assign(rows * all * all, 0.0);
+        result.slope.assign(rows * m * all, 0.0);
     }
     const Eigen::Map<const Vector> process(noise.process.data(), n);
+    Vector lasting = Vector::Zero(q);
+    std::copy(noise.coloured.begin(), noise.coloured.end(), lasting.data());
     const int motors = kernel.motors();
     Vector variance = Eigen::Map<const Vector>(noise.output.data(), m);
-    Vector x = Vector::Zero(kernel.states_and_memory());
+    Vector x = Vector::Zero(kernel.states_and_memory()), next(x.size());
     x.head(n) = Eigen::Map<const Vector>(recording.initial_state.data(), n);
     kernel.settle(loaded.get(), recording, x.data());
-    Matrix p = Eigen::Map<const Vector>(noise.initial.data(), n).asDiagonal();
+    Vector estimate = Vector::Zero(all), grown(all);
+    estimate.head(n) = x.head(n);
+    Matrix p = Matrix::Zero(all, all);
+    p.diagonal().head(n) = Eigen::Map<const Vector>(noise.initial.data(), n);
+    p.diagonal().tail(q) = lasting;
     Matrix free = p; /* covariance of a replay that runs since its last restart */
     double restart_s = recording.time_s[0] + kSettleTime_s;
-    Matrix transition(n, n), slope(m, n);
-    Vector predicted(m), next(x.size()), mistiming = Vector::Zero(m);
-    const RowUpdate update(n, m);
+    Matrix of_plant(n, n), shown(m, n), push(n, q);
+    Matrix transition = Matrix::Zero(all, all), slope = Matrix::Zero(m, all);
+    Vector predicted(m), mistiming = Vector::Zero(m);
+    const RowUpdate update(all, m);
     for (std::size_t k = 0; k < rows; ++k) {
         const double *measured = &recording.output[k * m];
         kernel.linearise_output(loaded.get(), recording, static_cast<int>(k), x.data(),
-                                predicted.data(), slope.data());
+                                predicted.data(), shown.data());
+        slope.leftCols(n) = shown;
         if (keep_linear)
-            std::copy(slope.data(), slope.data() + m * n, &result.slope[k * m * n]);
+            std::copy(slope.data(), slope.data() + m * all, &result.slope[k * m * all]);
         for (int i = m - kernel.current_outputs(), motor = 0; i < m; ++i, ++motor) {
             const double change = change_into(recording, motors, static_cast<int>(k), motor);
             variance[i] = noise.output[static_cast<std::size_t>(i)] +
@@ -188,30 +198,49 @@ Track track(const Kernel &kernel, const Recording &recording, const double *valu
                 slope.row(j) * free * slope.row(j).transpose() + variance[j];
         }
         result.log_likelihood +=
-            update(sampled_outputs(measured, m), measured, predicted, slope, variance, mistiming, x,
-                   p, &result.gain[k * n * m], &result.whitening[k * m * m],
-                   &result.correction_variance[k * n]);
-        std::copy_n(x.data(), n, &result.state[k * n]);
+            update(sampled_outputs(measured, m), measured, predicted, slope, variance, mistiming,
+                   estimate, p, &result.gain[k * all * m], &result.whitening[k * m * m],
+                   &result.correction_variance[k * all]);
+        std::copy_n(estimate.data(), all, &result.state[k * all]);
+        x.head(n) = estimate.head(n);
         if (recording.time_s[k] >= restart_s) {
-            free = p;
+            free = p; /* it starts where the filter is, but follows no disturbance */
+            free.rightCols(q).setZero();
+            free.bottomRows(q).setZero();
+            free.diagonal().tail(q) = lasting;
             restart_s += window_s;
         }
         if (k + 1 == rows)
             break;
         const double duration_s = recording.time_s[k + 1] - recording.time_s[k];
         kernel.linearise(loaded.get(), recording, static_cast<int>(k), step_s, x.data(),
-                         next.data(), transition.data());
-        mistiming = slope * (next - x).head(n) * (std::sqrt(noise.timing_s2) / duration_s);
+                         next.data(), of_plant.data());
+        for (int c = 0; c < q; ++c) {
+            const int pushed = kernel.pushed_states()[c];
+            push.col(c) = 0.5 * duration_s * of_plant.col(pushed);
+            push(pushed, c) += 0.5 * duration_s;
+        }
+        const double decay = std::exp(-duration_s * noise.colour_rate_1_s);
+        transition.topLeftCorner(n, n) = of_plant;
+        transition.topRightCorner(n, q) = push;
+        transition.bottomRightCorner(q, q).diagonal().setConstant(decay);
+        next.head(n) += push * estimate.tail(q);
+        mistiming = shown * (next - x).head(n) * (std::sqrt(noise.timing_s2) / duration_s);
         x = next;
+        estimate.head(n) = x.head(n);
+        estimate.tail(q) *= decay;
+        std::copy(push.data(), push.data() + n * q, &result.push[k * n * q]);
+        result.decay[k] = decay;
         if (keep_linear)
-            std::copy(transition.data(), transition.data() + n * n, &result.transition[k * n * n]);
-        Vector grown = process * duration_s;
+            std::copy(transition.data(), transition.data() + all * all,
+                      &result.transition[k * all * all]);
+        grown.head(n) = process * duration_s;
+        grown.tail(q) = (1.0 - decay * decay) * lasting;
         const double way = duration_s * duration_s / 12.0;
         /* The ways follow the speeds in the state of a machine that has them. */
         for (int i = 0; noise.unresolved > 0.0 && i < motors; ++i) {
-            grown[motors + i] +=
-                noise.unresolved * way * way *
-                squared_change(recording, motors, static_cast<int>(k), i);
+            grown[motors + i] += noise.unresolved * way * way *
+                                 squared_change(recording, motors, static_cast<int>(k), i);
         }
         p = transition * p * transition.transpose();
         p.diagonal() += grown;

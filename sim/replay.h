@@ -16,10 +16,17 @@
  *   replays      free-running simulation, restarted from the filtered state every `window_s`:
  *                measured minus simulated, the error a user of the simulator sees.
  *
+ * What pushes a robot at random - seams, chatter of rollers - lasts for some milliseconds, longer than
+ * a row. A controller answers it in the rows that follow, so that the command goes along with the
+ * disturbance; a filter that takes every row's push for a new one then sees commands work late and
+ * feigns lags. The state of the filter therefore holds, after the states of the plant, the
+ * disturbance d_i of each pushed state's rate, of first order: d_(k+1) = exp(-rate T) d_k + noise.
+ * Over a row it moves the state by push_k d_k, push_k = T / 2 (1 + transition_k) of those states.
+ *
  * A model with memory (memory.h) carries it from row to row; the filter corrects the states only.
  *
  * Parameter sets (noises) run in SIMD lanes and on all cores. Layouts are row major:
- * command [row][motor], output [row][output], gain [row][state][output],
+ * command [row][motor], output [row][output], gain [row][filter state][output],
  * whitening [row][output][output], residuals [set][row][output].
  */
 #ifndef OMNISLIP_SIM_REPLAY_H
@@ -44,7 +51,7 @@ struct Recording {
 };
 
 /* Noise of the filter: variances per second added to each state, variances of the outputs, the
- * variance of the rows' times [s^2]: a row taken d late shows every output d times its rate off,
+ * lasting variances of the disturbances and the rate at which they decay (none: zero), the variance of the rows' times [s^2]: a row taken d late shows every output d times its rate off,
  * and what a row's mean command does not tell. A controller that is faster than the log moves the
  * command within a row. Going evenly from the one neighbour's command to the other's, with a change
  * c a row of length T, it leaves the speed at the end of the row where the mean takes it but the
@@ -57,16 +64,20 @@ struct Noise {
     double timing_s2 = 0.0;
     double unresolved = 0.0;
     double unresolved_current = 0.0;
+    std::vector<double> coloured{}; /* [disturbance], of the rate of a pushed state */
+    double colour_rate_1_s = 100.0;
 };
 
 struct Track {
     std::vector<double> gain, whitening;
-    std::vector<double> state;               /* [row][state] after the row's measurements */
+    std::vector<double> state;               /* [row][filter state] after the measurements */
     std::vector<double> innovation;          /* [row][output], NaN where not sampled */
-    std::vector<double> correction_variance; /* [row][state] expected of gain * innovation */
+    std::vector<double> correction_variance; /* [row][filter state], of gain * innovation */
     std::vector<double> replay_variance;     /* [row][output] expected of a replay's error */
-    std::vector<double> transition;          /* [row][state][state] to the next row, if kept */
-    std::vector<double> slope;               /* [row][output][state], if kept */
+    std::vector<double> push;                /* [row][state][disturbance] to the next row */
+    std::vector<double> decay;               /* [row] of the disturbances to the next row */
+    std::vector<double> transition;          /* [row][filter state][filter state], if kept */
+    std::vector<double> slope;               /* [row][output][filter state], if kept */
     double log_likelihood = 0.0;
 };
 
@@ -87,6 +98,9 @@ class Kernel {
     virtual int lanes() const = 0;
     virtual int states() const = 0;
     virtual int states_and_memory() const = 0;
+    /* States whose rate is disturbed, and their numbers. The filter has states() + pushes(). */
+    virtual int pushes() const = 0;
+    virtual const int *pushed_states() const = 0;
     virtual int outputs() const = 0;
     virtual int motors() const = 0;
     /* How many of the outputs are motor currents; they come last. */

@@ -38,6 +38,10 @@ class KernelOf final : public Kernel {
     static constexpr int kAll = Plant::kAll;
     static constexpr int kOutputs = Plant::kOutputs + kElectric;
     static constexpr int kMotors = Plant::kMotors;
+    /* A robot's shafts and its body are disturbed. */
+    static constexpr int kPushed[] = {0, 1, 2, 3, 8, 9, 10};
+    static constexpr int kPushes = Plant::kKind == kRobot ? 7 : 0;
+    static constexpr int kFilter = kStates + kPushes;
 
     /* A plant whose lanes hold the sets `values[0..count-1]` (the last one repeated). */
     struct Loaded {
@@ -65,13 +69,29 @@ class KernelOf final : public Kernel {
             to[i] = S(from[i]);
     }
 
-    static void correct(const double *gain, const S *innovation, S *x) {
-        for (int i = 0; i < kStates; ++i) {
+    /* State x [kAll] and disturbances of the filter in row k. */
+    static void correct(const Track &track, long k, const S *innovation, S *x, S *disturbance) {
+        const double *gain = &track.gain[k * kFilter * kOutputs];
+        for (int i = 0; i < kFilter; ++i) {
             S change = S(gain[i * kOutputs]) * innovation[0];
             for (int j = 1; j < kOutputs; ++j) {
                 change = change + S(gain[i * kOutputs + j]) * innovation[j];
             }
-            x[i] = x[i] + change;
+            S &corrected = i < kStates ? x[i] : disturbance[i - kStates];
+            corrected = corrected + change;
+        }
+    }
+
+    /* What the disturbances add to the state x [kAll] from row k to the next. */
+    static void disturb(const Track &track, long k, S *x, S *disturbance) {
+        if constexpr (kPushes > 0) {
+            const double *push = &track.push[k * kStates * kPushes];
+            for (int i = 0; i < kStates; ++i) {
+                for (int c = 0; c < kPushes; ++c)
+                    x[i] = x[i] + S(push[i * kPushes + c]) * disturbance[c];
+            }
+            for (int c = 0; c < kPushes; ++c)
+                disturbance[c] = disturbance[c] * S(track.decay[k]);
         }
     }
 
@@ -164,6 +184,12 @@ class KernelOf final : public Kernel {
     }
     int states_and_memory() const override {
         return kAll;
+    }
+    int pushes() const override {
+        return kPushes;
+    }
+    const int *pushed_states() const override {
+        return kPushed;
     }
     int outputs() const override {
         return kOutputs;
@@ -260,13 +286,14 @@ class KernelOf final : public Kernel {
                      int count, double step_s, double *residuals) const override {
         const Loaded loaded(values, count, total_parameters(), terms_);
         const long plane = static_cast<long>(recording.rows) * kOutputs;
-        S x[kAll], innovation[kOutputs], white[kOutputs];
+        S x[kAll], disturbance[kPushes + 1], innovation[kOutputs], white[kOutputs];
+        std::fill_n(disturbance, kPushes, S(0.0));
         Internals in;
         broadcast(recording.initial_state.data(), x, kStates);
         settle_first(loaded, recording, x, in);
         for (long k = 0; k < recording.rows; ++k) {
             innovate(loaded.plant, recording, k, x, innovation);
-            correct(&track.gain[k * kStates * kOutputs], innovation, x);
+            correct(track, k, innovation, x, disturbance);
             const double *w = &track.whitening[k * kOutputs * kOutputs];
             for (int i = 0; i < kOutputs; ++i) {
                 white[i] = S(0.0);
@@ -275,8 +302,10 @@ class KernelOf final : public Kernel {
                 }
             }
             scatter(white, count, plane, residuals + k * kOutputs);
-            if (k + 1 < recording.rows)
-                advance_row(loaded, recording, k, step_s, x, in);
+            if (k + 1 == recording.rows)
+                break;
+            advance_row(loaded, recording, k, step_s, x, in);
+            disturb(track, k, x, disturbance);
         }
     }
 
@@ -285,6 +314,8 @@ class KernelOf final : public Kernel {
         const Loaded loaded(values, count, total_parameters(), terms_);
         const long plane = static_cast<long>(recording.rows) * kOutputs;
         S filtered[kAll], free[kAll], innovation[kOutputs], error[kOutputs];
+        S disturbance[kPushes + 1];
+        std::fill_n(disturbance, kPushes, S(0.0));
         Internals in;
         broadcast(recording.initial_state.data(), filtered, kStates);
         settle_first(loaded, recording, filtered, in);
@@ -295,7 +326,7 @@ class KernelOf final : public Kernel {
             innovate(loaded.plant, recording, k, free, error);
             scatter(error, count, plane, errors + k * kOutputs);
             innovate(loaded.plant, recording, k, filtered, innovation);
-            correct(&track.gain[k * kStates * kOutputs], innovation, filtered);
+            correct(track, k, innovation, filtered, disturbance);
             if (t >= restart_s) {
                 std::copy_n(filtered, kAll, free);
                 restart_s += window_s;
@@ -303,6 +334,7 @@ class KernelOf final : public Kernel {
             if (k + 1 == recording.rows)
                 break;
             advance_row(loaded, recording, k, step_s, filtered, in);
+            disturb(track, k, filtered, disturbance);
             advance_row(loaded, recording, k, step_s, free, in);
         }
     }
@@ -315,14 +347,21 @@ class KernelOf final : public Kernel {
         const S lateness_s = of_each([](const Noise &n) { return std::sqrt(n.timing_s2); });
         const S unresolved = of_each([](const Noise &n) { return n.unresolved; });
         const S unresolved_current = of_each([](const Noise &n) { return n.unresolved_current; });
-        S process[kStates], output[kOutputs], late[kOutputs], total(0.0);
-        /* Covariance of the state, and how far this filter's state is from the track's. */
-        S p[kStates][kStates], apart[kStates];
+        const S colour_rate_1_s = of_each([](const Noise &n) { return n.colour_rate_1_s; });
+        S process[kStates], lasting[kPushes + 1], output[kOutputs], late[kOutputs], total(0.0);
+        /* Covariance of the filter, and how far its state is from the track's. */
+        S p[kFilter][kFilter], apart[kFilter];
+        for (int i = 0; i < kFilter; ++i) {
+            std::fill_n(p[i], kFilter, S(0.0));
+            apart[i] = S(0.0);
+        }
         for (int i = 0; i < kStates; ++i) {
             process[i] = of_each([i](const Noise &n) { return n.process[i]; });
-            std::fill_n(p[i], kStates, S(0.0));
             p[i][i] = of_each([i](const Noise &n) { return n.initial[i]; });
-            apart[i] = S(0.0);
+        }
+        for (int c = 0; c < kPushes; ++c) {
+            lasting[c] = of_each([c](const Noise &n) { return n.coloured[c]; });
+            p[kStates + c][kStates + c] = lasting[c];
         }
         for (int j = 0; j < kOutputs; ++j) {
             output[j] = of_each([j](const Noise &n) { return n.output[j]; });
@@ -330,7 +369,7 @@ class KernelOf final : public Kernel {
         }
         const long plane = static_cast<long>(recording.rows) * kOutputs * kOutputs;
         for (int k = 0; k < recording.rows; ++k) {
-            const double *slope = &track.slope[k * kOutputs * kStates];
+            const double *slope = &track.slope[k * kOutputs * kFilter];
             S variance[kOutputs];
             std::copy_n(output, kOutputs, variance);
             for (int i = 0; i < current_outputs(); ++i) {
@@ -347,12 +386,15 @@ class KernelOf final : public Kernel {
             for (int j = 0; j < kOutputs; ++j) {
                 double way = 0.0;
                 for (int i = 0; i < kStates; ++i)
-                    way += slope[j * kStates + i] * moved[i];
+                    way += slope[j * kFilter + i] * moved[i];
                 late[j] = S(way / duration_s) * lateness_s;
             }
-            carry(&track.transition[k * kStates * kStates], p, apart);
+            const S decay = exp(S(-duration_s) * colour_rate_1_s);
+            carry(track, k, decay, p, apart);
             for (int i = 0; i < kStates; ++i)
                 p[i][i] += process[i] * S(duration_s);
+            for (int c = 0; c < kPushes; ++c)
+                p[kStates + c][kStates + c] += (S(1.0) - decay * decay) * lasting[c];
             const double way = duration_s * duration_s / 12.0;
             for (int i = 0; i < kMotors && kMotors + i < kStates; ++i) {
                 p[kMotors + i][kMotors + i] +=
@@ -367,7 +409,7 @@ class KernelOf final : public Kernel {
     /* One row of the filter of `likelihoods`. With S = L L', white = e / L and G = P H' / L':
      * K e = G white and P falls by G G'. */
     static void update(const Track &track, int k, const double *slope, const S *variance,
-                       const S *late, S (&p)[kStates][kStates], S *apart, S &total, int count,
+                       const S *late, S (&p)[kFilter][kFilter], S *apart, S &total, int count,
                        double *covariance, long plane) {
         const double *shown = &track.innovation[k * kOutputs];
         int sampled[kOutputs], m = 0;
@@ -375,23 +417,23 @@ class KernelOf final : public Kernel {
             if (shown[j] == shown[j])
                 sampled[m++] = j;
         }
-        S g[kOutputs][kStates], white[kOutputs], root[kOutputs][kOutputs], per_root[kOutputs];
+        S g[kOutputs][kFilter], white[kOutputs], root[kOutputs][kOutputs], per_root[kOutputs];
         alignas(64) double spread[kLanes];
         for (int a = 0; a < m; ++a) {
-            const double *h = slope + sampled[a] * kStates;
-            S ph[kStates], innovation(shown[sampled[a]]);
-            std::fill_n(ph, kStates, S(0.0));
-            for (int j = 0; j < kStates; ++j) {
+            const double *h = slope + sampled[a] * kFilter;
+            S ph[kFilter], innovation(shown[sampled[a]]);
+            std::fill_n(ph, kFilter, S(0.0));
+            for (int j = 0; j < kFilter; ++j) {
                 if (h[j] == 0.0)
                     continue;
                 innovation -= S(h[j]) * apart[j];
-                for (int i = 0; i < kStates; ++i)
+                for (int i = 0; i < kFilter; ++i)
                     ph[i] += S(h[j]) * p[i][j];
             }
             for (int b = 0; b <= a; ++b) {
                 S sum = late[sampled[a]] * late[sampled[b]];
-                const double *other = slope + sampled[b] * kStates;
-                for (int i = 0; i < kStates; ++i) {
+                const double *other = slope + sampled[b] * kFilter;
+                for (int i = 0; i < kFilter; ++i) {
                     if (other[i] != 0.0)
                         sum += S(other[i]) * ph[i];
                 }
@@ -410,22 +452,22 @@ class KernelOf final : public Kernel {
             per_root[a] = S(1.0) / root[a][a];
             for (int c = 0; c < a; ++c) {
                 innovation -= root[a][c] * white[c];
-                for (int i = 0; i < kStates; ++i)
+                for (int i = 0; i < kFilter; ++i)
                     ph[i] -= root[a][c] * g[c][i];
             }
             white[a] = innovation * per_root[a];
-            for (int i = 0; i < kStates; ++i)
+            for (int i = 0; i < kFilter; ++i)
                 g[a][i] = ph[i] * per_root[a];
             total += log(per_root[a]) - S(0.5) * white[a] * white[a] - S(0.5 * std::log(2.0 * kPi));
         }
-        for (int i = 0; i < kStates; ++i) {
+        for (int i = 0; i < kFilter; ++i) {
             double corrected = 0.0;
             for (int a = 0; a < m; ++a)
-                corrected += track.gain[(k * kStates + i) * kOutputs + sampled[a]] * shown[sampled[a]];
+                corrected += track.gain[(k * kFilter + i) * kOutputs + sampled[a]] * shown[sampled[a]];
             apart[i] -= S(corrected);
             for (int a = 0; a < m; ++a) {
                 apart[i] += g[a][i] * white[a];
-                for (int j = 0; j < kStates; ++j)
+                for (int j = 0; j < kFilter; ++j)
                     p[i][j] -= g[a][i] * g[a][j];
             }
         }
@@ -435,26 +477,29 @@ class KernelOf final : public Kernel {
     static void moved_by(const Track &track, int k, double *moved) {
         const double *shown = &track.innovation[(k + 1) * kOutputs];
         for (int i = 0; i < kStates; ++i) {
-            moved[i] = track.state[(k + 1) * kStates + i] - track.state[k * kStates + i];
+            moved[i] = track.state[(k + 1) * kFilter + i] - track.state[k * kFilter + i];
             for (int j = 0; j < kOutputs; ++j) {
                 if (shown[j] == shown[j])
-                    moved[i] -= track.gain[((k + 1) * kStates + i) * kOutputs + j] * shown[j];
+                    moved[i] -= track.gain[((k + 1) * kFilter + i) * kOutputs + j] * shown[j];
             }
         }
     }
 
-    /* apart -> F apart, P -> F P F'; F has many zeros. */
-    static void carry(const double *transition, S (&p)[kStates][kStates], S *apart) {
-        S half[kStates][kStates], moved[kStates];
+    /* apart -> F apart, P -> F P F'. F of the plant's states is the track's, with many zeros; the
+     * disturbances decay, the track's own at another rate. */
+    static void carry(const Track &track, int k, const S &decay, S (&p)[kFilter][kFilter],
+                      S *apart) {
+        const double *transition = &track.transition[k * kFilter * kFilter];
+        S half[kStates][kFilter], moved[kStates];
         for (int i = 0; i < kStates; ++i) {
             moved[i] = S(0.0);
-            std::fill_n(half[i], kStates, S(0.0));
-            for (int l = 0; l < kStates; ++l) {
-                const double f = transition[i * kStates + l];
+            std::fill_n(half[i], kFilter, S(0.0));
+            for (int l = 0; l < kFilter; ++l) {
+                const double f = transition[i * kFilter + l];
                 if (f == 0.0)
                     continue;
                 moved[i] += S(f) * apart[l];
-                for (int j = 0; j < kStates; ++j)
+                for (int j = 0; j < kFilter; ++j)
                     half[i][j] += S(f) * p[l][j];
             }
         }
@@ -462,8 +507,8 @@ class KernelOf final : public Kernel {
         for (int j = 0; j < kStates; ++j) {
             S column[kStates];
             std::fill_n(column, kStates, S(0.0));
-            for (int l = 0; l < kStates; ++l) {
-                const double f = transition[j * kStates + l];
+            for (int l = 0; l < kFilter; ++l) {
+                const double f = transition[j * kFilter + l];
                 if (f == 0.0)
                     continue;
                 for (int i = j; i < kStates; ++i)
@@ -471,6 +516,14 @@ class KernelOf final : public Kernel {
             }
             for (int i = j; i < kStates; ++i)
                 p[i][j] = p[j][i] = column[i];
+        }
+        for (int c = kStates; c < kFilter; ++c) {
+            const double own = track.state[k * kFilter + c];
+            apart[c] = decay * (apart[c] + S(own)) - S(track.decay[k] * own);
+            for (int i = 0; i < kStates; ++i)
+                p[i][c] = p[c][i] = half[i][c] * decay;
+            for (int j = kStates; j < kFilter; ++j)
+                p[c][j] = p[c][j] * decay * decay;
         }
     }
 

@@ -24,7 +24,7 @@ from scipy.optimize import least_squares
 
 from omnislip import _core
 from omnislip.gap.machine import Machine
-from omnislip.gap.noise import Noise, track_all
+from omnislip.gap.noise import Noise, track_all, track_recordings
 from omnislip.gap.recordings import Run
 from omnislip.log_file import Log
 from omnislip.model_file import IMPACT_KEYS, Effect, Model
@@ -46,6 +46,7 @@ COMMAND_JUMP = 0.1
 MOST_MISFIT = 9.0
 """A jump that leaves errors three times their standard deviation is not what happened."""
 APART_S = 0.3
+REPLAY_STEP_S = 1e-3
 CUT_S = 0.05
 """Left out after a push: the contact of the pusher."""
 LEAST_PIECE_S = 1.0
@@ -92,7 +93,8 @@ def find_impacts(
         for peak in _peaks(run.t_s, ratio, max(LEAST_RATIO, OVER_LEVEL * level)):
             if explained[peak] >= EXPLAINED:
                 row = pushes.likeliest_row(peak)
-                before = track.state.reshape(len(run.t_s), -1)[row - 1]
+                filtered = track.state.reshape(len(run.t_s), -1)[row - 1]
+                before = filtered[: machine.engine.states]
                 impact = _size_up(machine, run, row, values, noise, before, jump[row])
                 least = max(LEAST_JUMP_M_S, _feigned_m_s(machine, run, row))
                 plausible = least <= impact.jump_m_s(machine) <= MOST_JUMP_M_S
@@ -200,16 +202,8 @@ class _After:
         return self._machine.engine.recording(self._t_s, self._command, self._outputs, state)
 
     def _track(self, recording: _core.Recording) -> _core.Track:
-        n = self._noise
-        return self._machine.engine.track(
-            [recording],
-            self._values,
-            n.process,
-            n.output,
-            n.initial,
-            n.timing_s2,
-            n.unresolved,
-            n.unresolved_current,
+        return track_recordings(
+            self._machine, [recording], self._values, self._noise, REPLAY_STEP_S
         )[0]
 
     def _weights(self) -> Array:
@@ -228,7 +222,7 @@ class _Pushes:
     """What pushes before each row of a run would do to its whitened innovations."""
 
     def __init__(self, machine: Machine, run: Run, track: _core.Track) -> None:
-        n, m, rows = machine.engine.states, machine.engine.outputs, len(run.t_s)
+        n, m, rows = machine.engine.filter_states, machine.engine.outputs, len(run.t_s)
         sampled = ~np.isnan(run.outputs)
         slope = np.where(sampled[:, :, None], track.slope.reshape(rows, m, n), 0.0)
         gain, whitening = track.gain.reshape(rows, n, m), track.whitening.reshape(rows, m, m)

@@ -141,7 +141,7 @@ def find_leftover(data: Data, checks: Data, fitted: Fit) -> list[Leftover]:
 def _responses(data: Data, run: Run, values: Array, terms: Sequence[Term]) -> Array:
     """Whitened change of the innovations per unit of each term (kept rows * outputs, terms)."""
     engine = data.machine.engine
-    n, m, rows = engine.states, engine.outputs, len(run.t_s)
+    n, m, rows = engine.filter_states, engine.outputs, len(run.t_s)
     track = track_all(data.machine, [run], values, data.noise, keep_linear=True)[0]
     transition = track.transition.reshape(rows, n, n)
     slope = np.where(np.isnan(run.outputs)[:, :, None], 0.0, track.slope.reshape(rows, m, n))

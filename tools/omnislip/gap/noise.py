@@ -7,7 +7,7 @@ of a sensor hold its noise and hardly any motion.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -25,6 +25,9 @@ PATHS, ROUNDS, TRIALS = 4, 12, 4
 PROBE = 0.2
 PULL = 0.04
 """Information of the guess about each logarithm: a standard deviation of five."""
+COLOUR_RATE_1_S = 100.0
+COLOUR_RATES_1_S = (40.0, 600.0)
+"""What lasts longer is physics to be named; what is shorter is white."""
 LEAST = 5.0
 """How far a logarithm may fall below its guess: below that a variance no longer matters."""
 STEP_S = 2.5e-3
@@ -36,6 +39,9 @@ CONVERGED = 3.0
 @dataclass(frozen=True)
 class Noise:
     """Variances: `process` (states,) per second, `output` (outputs,), `initial` (states,).
+
+    `coloured` (pushes,) are the lasting variances of the disturbances of shafts and body, which
+    fade at `colour_rate_1_s` (sim/replay.h); none for other machines.
 
     `timing_s2` is the variance of the rows' times, `unresolved` that of a shaft's acceleration by
     commands that move within a row ((rad/s2)^2 per squared duty), `unresolved_current` that of a
@@ -50,6 +56,8 @@ class Noise:
     logs: Array
     """Logarithms of the fitted variances."""
     unresolved_current: float = 0.0
+    coloured: Array = field(default_factory=lambda: np.zeros(0))
+    colour_rate_1_s: float = 100.0
 
 
 def track_all(
@@ -60,8 +68,22 @@ def track_all(
     keep_linear: bool = False,
 ) -> list[_core.Track]:
     """Run the filter of one parameter set over all runs; `keep_linear` keeps its matrices."""
+    return track_recordings(
+        machine, [run.recording for run in runs], values, noise, STEP_S, keep_linear
+    )
+
+
+def track_recordings(
+    machine: Machine,
+    recordings: Sequence[_core.Recording],
+    values: Array,
+    noise: Noise,
+    step_s: float,
+    keep_linear: bool = False,
+) -> list[_core.Track]:
+    """Run the filter of one parameter set over recordings, with steps of at most `step_s`."""
     return machine.engine.track(
-        [run.recording for run in runs],
+        list(recordings),
         values,
         noise.process,
         noise.output,
@@ -69,7 +91,9 @@ def track_all(
         noise.timing_s2,
         noise.unresolved,
         noise.unresolved_current,
-        step_s=STEP_S,
+        noise.coloured.tolist(),
+        noise.colour_rate_1_s,
+        step_s=step_s,
         keep_linear=keep_linear,
     )
 
@@ -124,7 +148,7 @@ class _Path:
         self._recordings = [run.recording for run in runs]
         self._tracks = track_all(machine, runs, values, make(logs), keep_linear=True)
         total = sum(track.log_likelihood for track in self._tracks)
-        self.log_likelihood = total - self._pull(logs)
+        self.log_likelihood = float(total - self._pull(logs))
 
     def climb(self, logs: Array) -> tuple[float, Array]:
         """Return the gain of the log-likelihood and the logarithms at its maximum."""
@@ -158,6 +182,8 @@ class _Path:
             np.array([n.timing_s2 for n in noises]),
             np.array([n.unresolved for n in noises]),
             np.array([n.unresolved_current for n in noises]),
+            np.stack([n.coloured for n in noises]),
+            np.array([n.colour_rate_1_s for n in noises]),
         )
         return totals - self._pull(many), np.concatenate(covariance, axis=1)
 
@@ -208,7 +234,10 @@ def _robot_start(runs: Sequence[Run]) -> Array:
     heading = _median_variance(runs, [HEADING], 1e-8)
     # A 1 N push on 20 kg for 20 ms at random; 1 % of a motor's stall acceleration likewise.
     # Times are written with 0.01 to 1 ms; commands are mostly held from row to row.
+    # Half of the random force lasts from row to row, for some 10 ms.
+    half = 0.5 * COLOUR_RATE_1_S
     start = [100.0, 1e-3, 1e-2, gyro, place, heading, 1e-9, 1.0]
+    start += [100.0 * half, 1e-3 * half, 1e-2 * half, COLOUR_RATE_1_S]
     if runs[0].outputs.shape[1] > SUPPLY:
         start += [_median_variance(runs, [SUPPLY], 1e-5)]
         start += [_median_variance(runs, range(CURRENT.start, CURRENT.stop), 1e-4)]
@@ -216,7 +245,10 @@ def _robot_start(runs: Sequence[Run]) -> Array:
 
 
 def _robot_noise(machine: Machine, logs: Array) -> Noise:
-    shaft, body, yaw, gyro, place, heading, timing, share, *electric = np.exp(logs)
+    shaft, body, yaw, gyro, place, heading, timing, share, *rest = np.exp(logs)
+    lasting_shaft, lasting_body, lasting_yaw, rate, *electric = rest
+    rate = float(np.clip(rate, *COLOUR_RATES_1_S))
+    coloured = np.repeat([lasting_shaft, lasting_body, lasting_yaw], [4, 2, 1])
     process = np.zeros(14)
     process[SHAFT], process[BODY], process[YAW] = shaft, body, yaw
     count_rad = 2 * np.pi / float(machine.model.values["encoder.counts_per_rev"])
@@ -228,7 +260,17 @@ def _robot_noise(machine: Machine, logs: Array) -> Noise:
     initial = np.array([25.0] * 4 + [count_rad**2] * 4 + [0.02, 0.02, 0.05, 1e-4, 1e-4, 1e-4])
     unresolved = float(share) * _stall_acceleration_rad_s2(machine) ** 2
     unresolved_current = float(share) * _stall_current_a(machine) ** 2
-    return Noise(process, output, initial, float(timing), unresolved, logs, unresolved_current)
+    return Noise(
+        process,
+        output,
+        initial,
+        float(timing),
+        unresolved,
+        logs,
+        unresolved_current,
+        coloured,
+        rate,
+    )
 
 
 def _stall_current_a(machine: Machine) -> float:

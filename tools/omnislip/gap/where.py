@@ -91,7 +91,7 @@ def _corrections(
     machine: Machine, runs: Sequence[Run], noise: Noise, values: Array, equations: dict
 ) -> list[Array]:
     """Squared corrections over their expected variance (rows, equations) of each run."""
-    states, outputs = machine.engine.states, machine.engine.outputs
+    states, outputs = machine.engine.filter_states, machine.engine.outputs
     result = []
     for run, track in zip(runs, track_all(machine, runs, values, noise), strict=True):
         rows = len(run.t_s)
