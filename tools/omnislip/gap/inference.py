@@ -28,6 +28,7 @@ from omnislip import _core
 from omnislip.gap.machine import Candidate, Machine, Parameter
 from omnislip.gap.noise import STEP_S, Noise, track_all
 from omnislip.gap.recordings import Run
+from omnislip.gap.rows import Projection, hidden_columns
 
 Array = npt.NDArray[np.float64]
 
@@ -114,12 +115,13 @@ class Data:
         self.machine = machine
         self.runs = list(runs)
         self.noise = noise
-        self.tracks = track_all(machine, runs, values, noise)
+        self.tracks = track_all(machine, runs, values, noise, keep_linear=True)
         self.recordings = [run.recording for run in runs]
         self.believed = machine.believed
         self._kept = [self.kept_rows(run) for run in self.runs]
         self.blocks = self._block_numbers()
         self.scale = 1.0
+        self.hidden = Projection(self._kept_only(hidden_columns(machine, runs, self.tracks)))
         residual = self.residuals(values[None])[0]
         self.scale = float(np.sqrt(np.sum(residual**2) / max(np.count_nonzero(residual), 1)))
 
@@ -139,7 +141,12 @@ class Data:
         residuals /= self.scale
         if not np.isfinite(residuals.sum()):
             residuals = np.nan_to_num(residuals, copy=False, nan=1e3, posinf=1e3, neginf=-1e3)
-        return residuals
+        return self.hidden.apply(residuals)
+
+    def _kept_only(self, columns: Array) -> Array:
+        """Rows that count of columns over all rows (all rows * outputs, n)."""
+        kept = np.repeat(np.concatenate(self._kept), self.machine.engine.outputs)
+        return columns[kept]
 
     def per_run(self, residual: Array) -> list[Array]:
         """Split one residual (m,) into runs."""

@@ -25,6 +25,7 @@ from omnislip.gap.inference import Data, Fit, absorbed, inflation_of, linearise
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import track_all
 from omnislip.gap.recordings import Run
+from omnislip.gap.rows import whitened_response
 
 Array = npt.NDArray[np.float64]
 
@@ -99,8 +100,8 @@ def find_leftover(data: Data, checks: Data, fitted: Fit) -> list[Leftover]:
     """Return the terms that pass, strongest first. `checks` are runs that were not fitted."""
     terms = dictionary(data.machine)
     values = fitted.hypothesis.flat(data.believed)
-    columns = np.concatenate([_responses(data, run, values, terms) for run in data.runs])
-    check_columns = np.concatenate([_responses(checks, run, values, terms) for run in checks.runs])
+    columns = _responses(data, values, terms)
+    check_columns = _responses(checks, values, terms)
     check_residual = checks.residuals(values[None])[0]
     taken = absorbed(fitted, columns / data.scale)
     free = taken.rest(fitted.jacobian, columns / data.scale)
@@ -138,25 +139,15 @@ def find_leftover(data: Data, checks: Data, fitted: Fit) -> list[Leftover]:
     return sorted(found, key=lambda leftover: -leftover.gain)
 
 
-def _responses(data: Data, run: Run, values: Array, terms: Sequence[Term]) -> Array:
+def _responses(data: Data, values: Array, terms: Sequence[Term]) -> Array:
     """Whitened change of the innovations per unit of each term (kept rows * outputs, terms)."""
-    engine = data.machine.engine
-    n, m, rows = engine.filter_states, engine.outputs, len(run.t_s)
-    track = track_all(data.machine, [run], values, data.noise, keep_linear=True)[0]
-    transition = track.transition.reshape(rows, n, n)
-    slope = np.where(np.isnan(run.outputs)[:, :, None], 0.0, track.slope.reshape(rows, m, n))
-    gain, whitening = track.gain.reshape(rows, n, m), track.whitening.reshape(rows, m, m)
-    push, shown_more = _pushes(track.state.reshape(rows, n), run, terms)
-    step_s = np.diff(run.t_s)
-    error = np.zeros((n, len(terms)))
-    response = np.empty((rows, m, len(terms)))
-    for k in range(rows):
-        shown = shown_more[k] - slope[k] @ error
-        response[k] = whitening[k] @ shown
-        if k + 1 < rows:
-            error = transition[k] @ (error + gain[k] @ shown) + push[k] * step_s[k]
-    kept = data.kept_rows(run)
-    return response[kept].reshape(-1, len(terms))
+    machine, found = data.machine, []
+    tracks = track_all(machine, data.runs, values, data.noise, keep_linear=True)
+    for run, track in zip(data.runs, tracks, strict=True):
+        state = track.state.reshape(len(run.t_s), -1)
+        response = whitened_response(machine, run, track, *_pushes(state, run, terms))
+        found.append(response[data.kept_rows(run)].reshape(-1, len(terms)))
+    return data.hidden.apply(np.concatenate(found).T).T
 
 
 def _pushes(state: Array, run: Run, terms: Sequence[Term]) -> tuple[Array, Array]:

@@ -251,15 +251,16 @@ def _robot_noise(machine: Machine, logs: Array) -> Noise:
     coloured = np.repeat([lasting_shaft, lasting_body, lasting_yaw], [4, 2, 1])
     process = np.zeros(14)
     process[SHAFT], process[BODY], process[YAW] = shaft, body, yaw
-    count_rad = 2 * np.pi / float(machine.model.values["encoder.counts_per_rev"])
     output = np.empty(machine.engine.outputs)
-    output[:4] = count_rad**2 / 12
+    output[:4] = count_rad(machine) ** 2 / 12
     output[GYRO], output[POSE_XY], output[HEADING] = gyro, place, heading
     if electric:
         output[SUPPLY], output[CURRENT] = electric
-    initial = np.array([25.0] * 4 + [count_rad**2] * 4 + [0.02, 0.02, 0.05, 1e-4, 1e-4, 1e-4])
-    unresolved = float(share) * _stall_acceleration_rad_s2(machine) ** 2
-    unresolved_current = float(share) * _stall_current_a(machine) ** 2
+    initial = np.array(
+        [25.0] * 4 + [count_rad(machine) ** 2] * 4 + [0.02, 0.02, 0.05, 1e-4, 1e-4, 1e-4]
+    )
+    unresolved = float(share) * stall_acceleration_rad_s2(machine) ** 2
+    unresolved_current = float(share) * stall_current_a(machine) ** 2
     return Noise(
         process,
         output,
@@ -273,16 +274,21 @@ def _robot_noise(machine: Machine, logs: Array) -> Noise:
     )
 
 
-def _stall_current_a(machine: Machine) -> float:
+def count_rad(machine: Machine) -> float:
+    """Return the angle of a shaft between two counts."""
+    return 2.0 * np.pi / float(machine.model.values["encoder.counts_per_rev"])
+
+
+def stall_current_a(machine: Machine) -> float:
     """Return the current of a motor at rest at full duty."""
     return machine.model.values["motor.supply_v"] / machine.model.values["motor.resistance_ohm"]
 
 
-def _stall_acceleration_rad_s2(machine: Machine) -> float:
+def stall_acceleration_rad_s2(machine: Machine) -> float:
     """Return how fast a motor at rest that drives nothing starts at full duty."""
     values = machine.model.values
     return (
-        _stall_current_a(machine)
+        stall_current_a(machine)
         * values["motor.torque_constant_nm_a"]
         / values["motor.inertia_kg_m2"]
     )
