@@ -13,8 +13,21 @@
 
 #define REFERENCE_PI 3.14159265358979323846
 
+/* Random cases of a test: all of them on a PC, a few on a simulated processor with 16-bit int,
+ * which takes ten thousand times as long. */
+#if INT_MAX == 32767
+#define REFERENCE_CASES(number) ((number) / 40)
+#else
+#define REFERENCE_CASES(number) (number)
+#endif
+
 static inline double reference_clamp(double value, double low, double high) {
     return fmin(fmax(value, low), high);
+}
+
+/* The angle less whole turns, -pi..pi. (C's remainder() is missing in the library of the AVR.) */
+static inline double reference_wrap_rad(double angle_rad) {
+    return angle_rad - 2.0 * REFERENCE_PI * round(angle_rad / (2.0 * REFERENCE_PI));
 }
 
 static inline double reference_i16(double value) {

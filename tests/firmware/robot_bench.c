@@ -10,10 +10,17 @@
 
 static const double pi = 3.14159265358979323846;
 
+static void require(int condition, const char *message) {
+    if (condition)
+        return;
+    fprintf(stderr, "robot_bench: %s\n", message);
+    abort();
+}
+
 static void read_counts(void *context, uint16_t counts[4]) {
     const robot_bench *bench = context;
     for (int i = 0; i < 4; i++)
-        counts[i] = (uint16_t)(int64_t)floor(bench->angle_rad[i] / (2.0 * pi) * 2000.0);
+        counts[i] = (uint16_t)(int32_t)floor(bench->angle_rad[i] / (2.0 * pi) * 2000.0);
 }
 static void write_duty(void *context, const int16_t duty_q15[4]) {
     memcpy(((robot_bench *)context)->duty_q15, duty_q15, 4 * sizeof *duty_q15);
@@ -114,8 +121,8 @@ static void run_line(robot_bench *bench) {
             continue;
         if (bench->from_robot_out == bench->from_robot_in)
             bench->from_robot_out = bench->from_robot_in = 0;
-        if (bench->from_robot_in < BENCH_LINE_BYTES)
-            bench->from_robot[bench->from_robot_in++] = bench->waiting[0];
+        require(bench->from_robot_in < BENCH_LINE_BYTES, "the line from the robot is full");
+        bench->from_robot[bench->from_robot_in++] = (uint8_t)bench->waiting[0];
         bench->waiting_bytes--;
         memmove(bench->waiting, bench->waiting + 1, bench->waiting_bytes * sizeof *bench->waiting);
     }
@@ -135,8 +142,9 @@ void robot_bench_ticks(robot_bench *bench, int ticks) {
 void robot_bench_send(robot_bench *bench, const uint16_t *byte, size_t bytes) {
     if (bench->to_robot_out == bench->to_robot_in)
         bench->to_robot_out = bench->to_robot_in = 0;
-    for (size_t i = 0; i < bytes && bench->to_robot_in < BENCH_LINE_BYTES; i++)
-        bench->to_robot[bench->to_robot_in++] = byte[i];
+    require(bench->to_robot_in + bytes <= BENCH_LINE_BYTES, "the line to the robot is full");
+    for (size_t i = 0; i < bytes; i++)
+        bench->to_robot[bench->to_robot_in++] = (uint8_t)byte[i];
 }
 
 void robot_bench_send_content(robot_bench *bench, const uint16_t *content, size_t bytes) {
@@ -148,17 +156,11 @@ void robot_bench_send_content(robot_bench *bench, const uint16_t *content, size_
     robot_bench_send(bench, frame.byte, frame.length);
 }
 
-static void require(int condition) {
-    if (condition)
-        return;
-    fprintf(stderr, "robot_bench: the robot has sent a damaged frame\n");
-    abort();
-}
-
 /* Unstuffs by copying zeros forward, unlike the firmware's reader, and checks the CRC bit by bit.
  */
 int robot_bench_receive(robot_bench *bench, uint16_t content[FRAME_CONTENT_MAX]) {
-    const uint16_t *wire = bench->from_robot + bench->from_robot_out;
+    static const char damaged[] = "the robot has sent a damaged frame";
+    const uint8_t *wire = bench->from_robot + bench->from_robot_out;
     size_t end = 0, zero;
     uint32_t crc = 0xFFFF;
     while (bench->from_robot_out + end < bench->from_robot_in && wire[end] != 0)
@@ -166,21 +168,22 @@ int robot_bench_receive(robot_bench *bench, uint16_t content[FRAME_CONTENT_MAX])
     if (bench->from_robot_out + end >= bench->from_robot_in)
         return -1;
     bench->from_robot_out += end + 1;
-    require(end >= 4 && end - 3 <= FRAME_CONTENT_MAX);
+    require(end >= 4 && end - 3 <= FRAME_CONTENT_MAX, damaged);
     uint16_t plain[FRAME_CONTENT_MAX + 3];
-    memcpy(plain, wire, end * sizeof *plain);
+    for (size_t i = 0; i < end; i++)
+        plain[i] = wire[i];
     for (zero = 0; zero < end;) {
         const size_t next = zero + wire[zero];
         plain[zero] = 0;
         zero = next;
     }
-    require(zero == end);
+    require(zero == end, damaged);
     for (size_t i = 1; i < end - 2; i++) {
         crc ^= (uint32_t)plain[i] << 8;
         for (int bit = 0; bit < 8; bit++)
             crc = crc & 0x8000 ? (crc << 1 ^ 0x1021) & 0xFFFF : crc << 1;
         content[i - 1] = plain[i];
     }
-    require(crc == (uint32_t)(plain[end - 2] | plain[end - 1] << 8));
+    require(crc == (uint32_t)(plain[end - 2] | plain[end - 1] << 8), damaged);
     return (int)end - 3;
 }

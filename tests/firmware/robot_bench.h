@@ -14,7 +14,12 @@
 #include "hal/host/hal_host_store.h"
 
 #define BENCH_SEND_BUFFER 128
-#define BENCH_LINE_BYTES 32768 /* that wait on either side to be taken */
+/* Bytes that wait on either side to be taken; an AVR has 16 KiB for everything. */
+#if INT_MAX == 32767
+#define BENCH_LINE_BYTES 1536
+#else
+#define BENCH_LINE_BYTES 32768
+#endif
 
 typedef struct {
     robot r;
@@ -29,7 +34,7 @@ typedef struct {
     uint16_t receive_lost;
     uint32_t services; /* of the watchdog */
     /* Host to robot. */
-    uint16_t to_robot[BENCH_LINE_BYTES];
+    uint8_t to_robot[BENCH_LINE_BYTES];
     size_t to_robot_in, to_robot_out;
     /* Robot to host: what waits, and what the line has delivered. */
     double line_bytes_per_tick;
@@ -37,7 +42,7 @@ typedef struct {
     uint16_t waiting[BENCH_SEND_BUFFER];
     size_t waiting_bytes;
     uint32_t overflowed; /* bytes written without space: mistakes of the firmware */
-    uint16_t from_robot[BENCH_LINE_BYTES];
+    uint8_t from_robot[BENCH_LINE_BYTES];
     size_t from_robot_in, from_robot_out;
 } robot_bench;
 

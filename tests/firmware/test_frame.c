@@ -98,7 +98,7 @@ static void any_content_comes_through(void) {
     u16 content[FRAME_RECEIVE_MAX];
     frame_writer frame;
     frame_reader_reset(&reader);
-    for (int n = 0; n < 20000; n++) {
+    for (int n = 0; n < REFERENCE_CASES(20000); n++) {
         const u16 length = (u16)(1 + n % FRAME_RECEIVE_MAX);
         fill(content, length, (u16)(1 + n / FRAME_RECEIVE_MAX % 5));
         build(&frame, content, length);
@@ -250,7 +250,7 @@ static void noise_makes_no_frame_and_the_frame_after_it_comes_through(void) {
     int whole = 0;
     build(&frame, sample, SAMPLE_LENGTH);
     frame_reader_reset(&reader);
-    for (int n = 0; n < 2000; n++) {
+    for (int n = 0; n < REFERENCE_CASES(2000); n++) {
         for (int i = 0; i < 50; i++)
             whole += frame_receive(&reader, reference_random(&seed) % 256u) == FRAME_WHOLE;
         frame_receive(&reader, 0);

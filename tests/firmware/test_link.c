@@ -1,4 +1,5 @@
 /* The protocol, spoken over the bench's serial line with a whole robot behind it. */
+#include <stdlib.h>
 #include <string.h>
 #include <unity.h>
 
@@ -159,33 +160,30 @@ static void identify_tells_tables_and_start(void) {
 }
 
 static void fingerprints_are_those_of_the_tables(void) {
-    static const struct {
-        const char *name, *unit;
-        u16 bytes, q_bits;
-    } signals[] = {
+    static const u16 signals[][4] = {
 #define SIGNAL(name, type, unit, q_bits, expression, description) \
-    {#name, #unit, sizeof(type), q_bits},
+    {sizeof #name - 1, sizeof #unit - 1, sizeof(type), q_bits},
 #include "firmware/telemetry.def"
 #undef SIGNAL
     };
     static const struct {
-        const char *name, *unit;
-        int number[4];
+        u16 name_length, unit_length;
+        i16 number[4];
     } values[] = {
 #define PARAMETER(name, unit, q_bits, minimum, maximum, initial, description) \
-    {#name, #unit, {q_bits, minimum, maximum, initial}},
+    {sizeof #name - 1, sizeof #unit - 1, {q_bits, minimum, maximum, initial}},
 #include "firmware/parameters.def"
 #undef PARAMETER
     };
     u16 crc = FRAME_CRC_START;
     for (int i = 0; i < SIGNAL_COUNT; i++) {
-        crc = frame_crc(frame_crc(crc, (u16)strlen(signals[i].name)), (u16)strlen(signals[i].unit));
-        crc = frame_crc(frame_crc(crc, signals[i].bytes), signals[i].q_bits);
+        for (int k = 0; k < 4; k++)
+            crc = frame_crc(crc, signals[i][k]);
     }
     TEST_ASSERT_EQUAL_HEX16(crc, bench.r.told.table);
     crc = FRAME_CRC_START;
     for (int i = 0; i < PARAMETER_COUNT; i++) {
-        crc = frame_crc(frame_crc(crc, (u16)strlen(values[i].name)), (u16)strlen(values[i].unit));
+        crc = frame_crc(frame_crc(crc, values[i].name_length), values[i].unit_length);
         for (int k = 0; k < 4; k++)
             crc = frame_crc_u16(crc, (u16)values[i].number[k]);
     }
@@ -372,9 +370,9 @@ static void a_fault_is_left_on_request(void) {
 
 static void outside_pose_corrects_a_robot_that_stands(void) {
     begin(CODE_outside_pose);
-    add_u32(1234 * 8192);
-    add_u32(-77 * 8192);
-    add_u32(500 * 8192);
+    add_u32(1234L * 8192);
+    add_u32(-77L * 8192);
+    add_u32(500L * 8192);
     add_u16(30);
     TEST_ASSERT_EQUAL(LINK_RESULT_ACCEPTED, send());
     const odometry_pose *pose = &bench.r.loop.telemetry.pose;
@@ -403,7 +401,7 @@ static void a_damaged_command_does_not_move_the_robot(void) {
     add_u16(800);
     add_u16(100);
     add_u16(0);
-    for (int n = 0; n < 5000; n++) {
+    for (int n = 0; n < REFERENCE_CASES(5000); n++) {
         frame_begin(&frame);
         for (size_t i = 0; i < asked_bytes; i++)
             frame_add_u8(&frame, asked[i]);
@@ -415,7 +413,7 @@ static void a_damaged_command_does_not_move_the_robot(void) {
         TEST_ASSERT_EQUAL(SUPERVISOR_STATE_ARMED, state());
     }
     TEST_ASSERT_FALSE(take(LINK_ANSWER));
-    TEST_ASSERT_TRUE(bench.r.told.counters.bad_frames > 4000);
+    TEST_ASSERT_TRUE(bench.r.told.counters.bad_frames > REFERENCE_CASES(4000));
     robot_bench_send(&bench, (const uint16_t[]){0}, 1); /* ends what the last one may have left */
     TEST_ASSERT_EQUAL(LINK_RESULT_ACCEPTED, ask_velocity(800));
 }
@@ -761,17 +759,17 @@ static void streams_that_cannot_be_are_refused_and_change_nothing(void) {
 
 /* Two rows of the stream against what the bridges got between them. */
 static void the_log_stream_holds_the_mean_duty(void) {
-    double applied[1000]; /* sum of the duty of wheel 1 over all ticks before this one */
-    u32 first_ms, first_sum;
-    double sum = 0.0;
+    static i32 applied_q15[500]; /* sum of the duty of wheel 1 over all ticks before this one */
+    u32 first_ms = 0, first_sum = 0;
+    i32 sum_q15 = 0;
     int rows = 0;
     drive();
     ask_stream(0, 5, log_signals, LOG_SIGNALS);
     TEST_ASSERT_TRUE(wait_for(LINK_TELEMETRY, 20));
     skip();
     const u32 start_ms = bench.r.told.time_ms;
-    for (int n = 0; n < 1000; n++) {
-        applied[n] = sum;
+    for (int n = 0; n < 500; n++) {
+        applied_q15[n] = sum_q15;
         if (n % 100 == 0) {
             begin(CODE_velocity);
             add_u16(n % 200 ? 900 : -900);
@@ -781,22 +779,22 @@ static void the_log_stream_holds_the_mean_duty(void) {
             sequence++;
         }
         robot_bench_tick(&bench);
-        sum += bench.duty_q15[0];
-    }
-    first_ms = first_sum = 0;
-    while (take(LINK_TELEMETRY)) {
-        const u32 time_ms = frame_u32(content + 3), duty_sum = frame_u32(content + 7);
-        if (time_ms < start_ms)
-            continue;
-        if (rows++ == 0) {
-            first_ms = time_ms;
-            first_sum = duty_sum;
+        sum_q15 += bench.duty_q15[0];
+        while (take(LINK_TELEMETRY)) {
+            const u32 time_ms = frame_u32(content + 3), duty_sum = frame_u32(content + 7);
+            if (time_ms < start_ms)
+                continue;
+            if (rows++ == 0) {
+                first_ms = time_ms;
+                first_sum = duty_sum;
+            }
+            TEST_ASSERT_EQUAL_INT32(
+                applied_q15[time_ms - start_ms] - applied_q15[first_ms - start_ms],
+                (i32)(duty_sum - first_sum));
         }
-        TEST_ASSERT_EQUAL_DOUBLE(applied[time_ms - start_ms] - applied[first_ms - start_ms],
-                                 (double)(i32)(duty_sum - first_sum));
     }
-    TEST_ASSERT_INT_WITHIN(4, 200, rows);
-    TEST_ASSERT_TRUE(fabs(applied[300]) > 1e5);
+    TEST_ASSERT_INT_WITHIN(4, 100, rows);
+    TEST_ASSERT_TRUE(labs(applied_q15[300]) > 100000);
 }
 
 /* At 200 Hz, with a second stream and commands at 50 Hz, nothing is lost at 115200 baud. */

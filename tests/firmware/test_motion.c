@@ -90,7 +90,7 @@ static void a_change_within_the_grip_passes_unchanged(void) {
 }
 
 static void a_change_beyond_the_grip_keeps_its_direction(void) {
-    for (unsigned heading = 0; heading < 65536; heading += 999) {
+    for (u32 heading = 0; heading < 65536; heading += 999) {
         traction_change change = {{40000, -20000, 10000}};
         TEST_ASSERT_NOT_EQUAL_UINT(0,
                                    traction_limit(&p, odometry_heading_of((u16)heading), &change));
@@ -160,7 +160,7 @@ static void check_spread(int x_n_q6, int y_n_q6, int torque_q8) {
 
 static void spread_is_the_best_there_is(void) {
     uint64_t seed = 41;
-    for (int n = 0; n < 5000; n++) {
+    for (int n = 0; n < REFERENCE_CASES(5000); n++) {
         check_spread(reference_random_i16(&seed, 4000), reference_random_i16(&seed, 4000),
                      reference_random_i16(&seed, 3000));
     }
@@ -183,7 +183,7 @@ static void spread_is_the_best_for_uneven_wheels_too(void) {
         p.value[PARAMETER_ID_forward_omega_1_q13 + i] = (i16)lround(forward[2][i] * 8192.0);
         p.value[PARAMETER_ID_null_1_q13 + i] = (i16)lround(null[i] * 8192.0);
     }
-    for (int n = 0; n < 5000; n++) {
+    for (int n = 0; n < REFERENCE_CASES(5000); n++) {
         check_spread(reference_random_i16(&seed, 4000), reference_random_i16(&seed, 4000),
                      reference_random_i16(&seed, 3000));
     }
@@ -255,8 +255,8 @@ static void arrival_is_exact_with_the_velocity_asked_for(void) {
     TEST_ASSERT_EQUAL_INT32(goal.x_mm_q13, t.position_q13[0]);
     TEST_ASSERT_EQUAL_INT32(goal.y_mm_q13, t.position_q13[1]);
     TEST_ASSERT_EQUAL_INT32(goal.theta_mrad_q13, t.position_q13[2]);
-    TEST_ASSERT_EQUAL_INT32(4000 * 512, t.velocity.axis_q22[0]);
-    TEST_ASSERT_EQUAL_INT32(-1000 * 2048, t.velocity.axis_q22[2]);
+    TEST_ASSERT_EQUAL_INT32(4000L * 512, t.velocity.axis_q22[0]);
+    TEST_ASSERT_EQUAL_INT32(-1000L * 2048, t.velocity.axis_q22[2]);
 }
 
 static void short_move_takes_the_time_of_the_acceleration_limit(void) {
@@ -335,13 +335,13 @@ static double smallest_ticks(double distance_m, double turn_rad) {
 /* The bisection leaves 1/64; until it ends, 16 ticks are driven on a longer plan. */
 static void moves_from_rest_take_the_time_that_their_limits_need(void) {
     uint64_t seed = 47;
-    for (int n = 0; n < 500; n++) {
+    for (int n = 0; n < REFERENCE_CASES(500); n++) {
         const int reach_mm = n % 2 ? 300 : 6000;
-        const odometry_pose goal = {reference_random_i16(&seed, (i16)reach_mm) * 8192,
-                                    reference_random_i16(&seed, (i16)reach_mm) * 8192,
-                                    reference_random_i16(&seed, 3100) * 8192 * (n % 3 > 0)};
+        const odometry_pose goal = {reference_random_i16(&seed, (i16)reach_mm) * 8192L,
+                                    reference_random_i16(&seed, (i16)reach_mm) * 8192L,
+                                    reference_random_i16(&seed, 3100) * 8192L * (n % 3 > 0)};
         const double needed = smallest_ticks(hypot(goal.x_mm_q13, goal.y_mm_q13) / 8192e3,
-                                             abs(goal.theta_mrad_q13) / 8192e3);
+                                             labs(goal.theta_mrad_q13) / 8192e3);
         trajectory t;
         int ticks;
         trajectory_start(&t, &origin, &still);
@@ -414,7 +414,7 @@ static void velocity_ramps_along_the_commanded_direction(void) {
     const kinematics_velocity command = {8192, -4096, 0};
     trajectory t;
     trajectory_start(&t, &origin, &still);
-    for (int n = 0; n < 300; n++) {
+    for (int n = 0; n < REFERENCE_CASES(300); n++) {
         TEST_ASSERT_EQUAL_UINT(0, trajectory_step_velocity(&t, &p, &command));
     }
     /* 1.4717 m/s2 for 0.3 s along (2, -1) / sqrt 5 */
@@ -423,8 +423,8 @@ static void velocity_ramps_along_the_commanded_direction(void) {
     for (int n = 0; n < 600; n++)
         trajectory_step_velocity(&t, &p, &command);
     /* The command passes a rotation by 0, whose cosine is one LSB short of 1. */
-    TEST_ASSERT_INT32_WITHIN(512, 8192 * 512, t.velocity.axis_q22[0]);
-    TEST_ASSERT_INT32_WITHIN(512, -4096 * 512, t.velocity.axis_q22[1]);
+    TEST_ASSERT_INT32_WITHIN(512, 8192L * 512, t.velocity.axis_q22[0]);
+    TEST_ASSERT_INT32_WITHIN(512, -4096L * 512, t.velocity.axis_q22[1]);
 }
 
 static void velocity_commands_are_limited_along_their_direction(void) {

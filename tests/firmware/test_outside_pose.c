@@ -31,7 +31,7 @@ static odometry_pose to_pose(place there) {
     result.x_mm_q13 = (i32)lround(there.x_mm * 8192.0);
     result.y_mm_q13 = (i32)lround(there.y_mm * 8192.0);
     result.theta_mrad_q13 =
-        (i32)lround(1000.0 * remainder(there.theta_mrad / 1000.0, 2.0 * REFERENCE_PI) * 8192.0);
+        (i32)lround(1000.0 * reference_wrap_rad(there.theta_mrad / 1000.0) * 8192.0);
     return result;
 }
 
@@ -67,7 +67,7 @@ static double distance_mm(void) {
 
 static double turn_mrad(void) {
     const double error_rad = pose.theta_mrad_q13 / 8192000.0 - truth_at(now_ms).theta_mrad / 1000.0;
-    return 1000.0 * fabs(remainder(error_rad, 2.0 * REFERENCE_PI));
+    return 1000.0 * fabs(reference_wrap_rad(error_rad));
 }
 
 /* Drives with a camera of this period and delay; what it says about its delay may be wrong. */
@@ -99,7 +99,7 @@ static void a_wrong_delay_shows_as_the_way_driven_in_it(void) {
 
 static void drift_is_held_at_what_grows_until_it_is_corrected(void) {
     double before_mm;
-    drive(2000, 1 << 20, 0, 0, 1.03);
+    drive(2000, 2001, 0, 0, 1.03); /* no camera */
     before_mm = distance_mm();
     TEST_ASSERT_TRUE(before_mm > 20.0);
     start(0.0, 0.0, 0.0);
@@ -110,7 +110,7 @@ static void drift_is_held_at_what_grows_until_it_is_corrected(void) {
 }
 
 static void a_correction_is_given_in_small_steps(void) {
-    odometry_pose seen = {8192 * 300, -8192 * 300, 8192 * 500};
+    odometry_pose seen = {8192L * 300, -8192L * 300, 8192L * 500};
     int ticks = 0;
     TEST_ASSERT_TRUE(outside_pose_take(&outside, &p, &pose, &seen, 0, 1));
     for (odometry_pose before = pose; ticks < 2000; ticks++, before = pose) {
@@ -120,9 +120,9 @@ static void a_correction_is_given_in_small_steps(void) {
         TEST_ASSERT_INT32_WITHIN(4096, before.theta_mrad_q13, pose.theta_mrad_q13);
     }
     /* the share outside_pose_gain of it, less what 1/64 rounds to nothing */
-    TEST_ASSERT_INT32_WITHIN(32, 8192 * 75, pose.x_mm_q13);
-    TEST_ASSERT_INT32_WITHIN(32, -8192 * 75, pose.y_mm_q13);
-    TEST_ASSERT_INT32_WITHIN(32, 8192 * 125, pose.theta_mrad_q13);
+    TEST_ASSERT_INT32_WITHIN(32, 8192L * 75, pose.x_mm_q13);
+    TEST_ASSERT_INT32_WITHIN(32, -8192L * 75, pose.y_mm_q13);
+    TEST_ASSERT_INT32_WITHIN(32, 8192L * 125, pose.theta_mrad_q13);
 }
 
 static void a_robot_that_does_not_drive_takes_the_pose_as_it_is(void) {
@@ -150,7 +150,7 @@ static void poses_of_unknown_age_are_refused(void) {
 /* Whatever arrives, the pose stays a pose and moves by small steps only. */
 static void garbage_does_no_harm(void) {
     uint64_t seed = 29;
-    for (int n = 0; n < 200000; n++) {
+    for (u32 n = 0; n < REFERENCE_CASES(200000); n++) {
         const odometry_pose seen = {(i32)reference_random(&seed), (i32)reference_random(&seed),
                                     (i32)reference_random(&seed)};
         odometry_pose before;

@@ -27,7 +27,7 @@ static i16 value_of(u16 id, int set) {
     parameters_describe(id, &info);
     return set == 0 ? info.initial
                     : (i16)(info.minimum +
-                            (set * 7919 + id * 101) % ((i32)info.maximum - info.minimum + 1));
+                            (set * 7919L + id * 101L) % ((i32)info.maximum - info.minimum + 1));
 }
 
 static void assume(int set) {
@@ -82,7 +82,7 @@ static void refusals_change_nothing(void) {
 static void repair_crc(int bank) {
     uint16_t *word = bank_words(bank);
     u16 crc = FRAME_CRC_START;
-    for (int at = 1; at < 4 + word[3]; at++)
+    for (u16 at = 1; at < 4 + word[3]; at++)
         crc = frame_crc_u16(crc, word[at]);
     word[4 + word[3]] = crc;
 }
@@ -216,15 +216,15 @@ static void cut_every_word_of_a_save_over(const uint16_t image[HAL_STORE_WORDS],
 }
 
 static void cut_in_the_first_save(void) {
-    const robot_bench blank = bench;
-    cut_every_word_of_a_save_over(blank.store.word, 0);
+    const hal_host_store blank = bench.store;
+    cut_every_word_of_a_save_over(blank.word, 0);
 }
 
 static void cut_in_the_second_save(void) {
     restart();
     save(1);
-    const robot_bench saved = bench;
-    cut_every_word_of_a_save_over(saved.store.word, 1);
+    const hal_host_store saved = bench.store;
+    cut_every_word_of_a_save_over(saved.word, 1);
 }
 
 /* Both banks in turn: with three saves the current set is in one, with four in the other. */
@@ -234,8 +234,8 @@ static void cut_in_later_saves(void) {
         restart();
         for (int n = 0; n < saves; n++)
             save(3);
-        const robot_bench saved = bench;
-        cut_every_word_of_a_save_over(saved.store.word, 3);
+        const hal_host_store saved = bench.store;
+        cut_every_word_of_a_save_over(saved.word, 3);
     }
 }
 
@@ -252,8 +252,8 @@ static void cut_twice(void) {
         restart();
         if (p.value[0] != value_of(0, 3))
             continue; /* cut in the last word, and whole */
-        const robot_bench cut_once = bench;
-        cut_every_word_of_a_save_over(cut_once.store.word, 3);
+        const hal_host_store cut_once = bench.store;
+        cut_every_word_of_a_save_over(cut_once.word, 3);
     }
 }
 
@@ -298,7 +298,7 @@ static void rot_in_both_banks_gives_the_defaults(void) {
 
 static void random_words_give_the_defaults(void) {
     uint64_t seed = 11;
-    for (int n = 0; n < 2000; n++) {
+    for (int n = 0; n < REFERENCE_CASES(2000); n++) {
         for (int at = 0; at < HAL_STORE_WORDS; at++)
             bench.store.word[at] = (uint16_t)reference_random(&seed);
         for (int known = 0; known < n % 5; known++) { /* right up to word 0, 2, 3 */
@@ -369,9 +369,9 @@ static void a_count_that_does_not_fit_the_table_or_the_bank_is_rot(void) {
 static void a_memory_that_does_not_take_words_is_told(void) {
     restart();
     save(1);
-    const robot_bench saved = bench;
+    const hal_host_store saved = bench.store;
     for (uint32_t dead_from = 1; dead_from <= SET_WORDS; dead_from++) { /* the last: the marker */
-        bench = saved;
+        bench.store = saved;
         restart();
         bench.store.writes_until_cut = dead_from;
         bench.store.torn_word = 0x4321;

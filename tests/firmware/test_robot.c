@@ -1,12 +1,8 @@
 /* The whole robot from power-on: start, watchdog, faults of the board, and a drive commanded,
- * watched and ended over the serial line alone. The transcript link_conversation.txt is played to
- * it word for word. */
-#include <ctype.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
+ * watched and ended over the serial line alone. */
 #include <unity.h>
 
+#include "tests/firmware/reference.h"
 #include "tests/firmware/robot_bench.h"
 
 static robot_bench bench;
@@ -106,14 +102,12 @@ static void an_overrun_is_a_fault_and_zero_duty_in_the_same_tick(void) {
 /* ---- the line alone ---- */
 
 static void noise_on_the_line_does_nothing_for_a_minute(void) {
-    unsigned seed = 1;
+    uint64_t seed = 1;
     robot_bench_start(&bench);
-    for (int n = 0; n < 60000; n++) {
+    for (u32 n = 0; n < REFERENCE_CASES(60000); n++) {
         uint16_t noise[12];
-        for (int i = 0; i < 12; i++) {
-            seed = seed * 1664525u + 1013904223u;
-            noise[i] = seed >> 24;
-        }
+        for (int i = 0; i < 12; i++)
+            noise[i] = reference_random(&seed) & 0xFF;
         robot_bench_send(&bench, noise, 12);
         robot_bench_tick(&bench);
     }
@@ -142,59 +136,6 @@ static void a_flood_is_worked_off_in_its_order(void) {
     TEST_ASSERT_EQUAL_INT(100, answers + bench.r.told.counters.answers_lost);
 }
 
-/* ---- the transcript ---- */
-
-/* Bytes of hexadecimal text up to the end of the line; their number. */
-static size_t read_hex(const char *text, uint16_t *byte) {
-    size_t bytes = 0;
-    char *end;
-    for (;;) {
-        while (isspace((unsigned char)*text))
-            text++;
-        if (*text == 0)
-            return bytes;
-        byte[bytes++] = (uint16_t)strtoul(text, &end, 16);
-        TEST_ASSERT_TRUE_MESSAGE(end == text + 2, text);
-        text = end;
-    }
-}
-
-static void play_line(const char *line) {
-    uint16_t byte[256];
-    const char *wire = strchr(line, '|');
-    if (line[0] == '#' || !wire)
-        return;
-    const size_t bytes = read_hex(wire + 1, byte);
-    if (strncmp(line, "host ", 5) == 0) {
-        robot_bench_send(&bench, byte, bytes);
-        while (bench.to_robot_out < bench.to_robot_in)
-            robot_bench_tick(&bench);
-        return;
-    }
-    TEST_ASSERT_EQUAL_INT_MESSAGE(0, strncmp(line, "robot ", 6), line);
-    for (int n = 0; n < 100 && bench.from_robot_in - bench.from_robot_out < bytes; n++)
-        robot_bench_tick(&bench);
-    TEST_ASSERT_TRUE_MESSAGE(bench.from_robot_in - bench.from_robot_out >= bytes, line);
-    TEST_ASSERT_EQUAL_HEX16_ARRAY_MESSAGE(byte, bench.from_robot + bench.from_robot_out, bytes,
-                                          line);
-    bench.from_robot_out += bytes;
-}
-
-static void the_robot_keeps_to_the_transcript(void) {
-    char line[1024];
-    int lines = 0;
-    FILE *file = fopen(OMNISLIP_CONVERSATION, "r");
-    TEST_ASSERT_NOT_NULL_MESSAGE(file, OMNISLIP_CONVERSATION);
-    robot_bench_start(&bench);
-    while (fgets(line, sizeof line, file)) {
-        play_line(line);
-        lines++;
-    }
-    fclose(file);
-    TEST_ASSERT_TRUE(lines > 20);
-    TEST_ASSERT_EQUAL_INT(bench.from_robot_in, bench.from_robot_out);
-}
-
 int main(void) {
     UNITY_BEGIN();
     RUN_TEST(robot_comes_up_idle_with_the_power_stage_off);
@@ -205,6 +146,5 @@ int main(void) {
     RUN_TEST(an_overrun_is_a_fault_and_zero_duty_in_the_same_tick);
     RUN_TEST(noise_on_the_line_does_nothing_for_a_minute);
     RUN_TEST(a_flood_is_worked_off_in_its_order);
-    RUN_TEST(the_robot_keeps_to_the_transcript);
     return UNITY_END();
 }

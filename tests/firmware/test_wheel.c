@@ -77,7 +77,7 @@ static void no_load_speed_is_that_of_the_model(void) {
 static void voltage_and_force_undo_each_other(void) {
     uint64_t seed = 5;
     parameters_set(&p, PARAMETER_ID_coulomb_force_q8, 700);
-    for (int n = 0; n < 20000; n++) {
+    for (int n = 0; n < REFERENCE_CASES(20000); n++) {
         const i16 force = reference_random_i16(&seed, 20000);
         const i16 shaft = reference_random_i16(&seed, 15000);
         const i16 voltage = motor_voltage_v_q9(&p, force, shaft, 0);
