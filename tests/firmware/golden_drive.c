@@ -13,21 +13,9 @@
 #include <stdio.h>
 
 #include "firmware/robot.h"
-#include "hal/hal.h"
+#include "tests/firmware/integer_hal.h"
 
 #define SECONDS 12
-
-static u32 seed = 1;
-static u32 checksum = 0;
-
-static u16 next_random(void) {
-    seed = seed * (u32)1664525 + (u32)1013904223;
-    return (u16)(seed >> 16);
-}
-
-static void mix(u32 value) {
-    checksum = (checksum << 5) + (checksum >> 27) + value;
-}
 
 /* ---- The plant ---- */
 
@@ -36,12 +24,10 @@ static void mix(u32 value) {
 static i32 rim_um_s[WHEEL_COUNT];
 static i32 rim_nm[WHEEL_COUNT]; /* beyond the counter */
 static u16 counter[WHEEL_COUNT];
-static i16 duty_q15[WHEEL_COUNT];
 static i16 current_ma[WHEEL_COUNT];
 static i32 x_um_s, y_um_s, turn_urad_s;
 static i32 grip_mn = 29430;
 static u16 supply_mv = 24000;
-static u16 bridges_on = 0;
 
 static i32 size_of(i32 value) {
     return value < 0 ? -value : value;
@@ -54,7 +40,8 @@ static i32 friction_mn(i32 slip_um_s) {
 
 static void turn_wheel(u16 wheel, i32 force_mn) {
     /* 10.2 N/V of the stalled motor, 62.4 N s/m of back-EMF and drag, 1.44 kg seen at the rim */
-    const i32 voltage_mv = bridges_on ? (i32)duty_q15[wheel] / 8 * (i32)supply_mv / 4096 : 0;
+    const i32 voltage_mv =
+        bridges_on ? (i32)applied_duty_q15[wheel] / 8 * (i32)supply_mv / 4096 : 0;
     const i32 drive_mn = voltage_mv * 51 / 5 - rim_um_s[wheel] / 1000 * 312 / 5;
     i32 nm;
     rim_um_s[wheel] += (drive_mn - force_mn) / 36 * 25;
@@ -105,79 +92,11 @@ void hal_read_currents_ma(i16 ma[4]) {
         ma[i] = current_ma[i];
 }
 
-void hal_write_duty(const i16 duty[4]) {
-    u16 i;
-    for (i = 0; i < WHEEL_COUNT; i++) {
-        duty_q15[i] = duty[i];
-        mix((u16)duty[i]);
-    }
-}
-
-void hal_enable_bridges(u16 on) {
-    bridges_on = on;
-    mix(on);
-}
-
 u16 hal_read_bridge_faults(void) {
     return 0;
 }
 
-/* ---- The line and the store ---- */
-
-static frame_writer request;
-static u16 request_read;
-static u16 sequence;
-static u16 sent_bytes;
-static u16 stored[HAL_STORE_WORDS];
-
-static void begin(u16 code) {
-    frame_begin(&request);
-    frame_add_u8(&request, LINK_VERSION);
-    frame_add_u8(&request, code);
-    frame_add_u8(&request, sequence++);
-    request_read = 0;
-}
-
-u16 hal_serial_read(u16 *byte) {
-    if (request_read >= request.length)
-        return 0;
-    *byte = request.byte[request_read++];
-    return 1;
-}
-
-u16 hal_serial_space(void) {
-    return (u16)(128U - sent_bytes);
-}
-
-void hal_serial_write(u16 byte) {
-    sent_bytes++;
-    mix(byte);
-}
-
 u16 hal_serial_lost(void) {
-    return 0;
-}
-
-u16 hal_store_busy(void) {
-    return 0;
-}
-
-u16 hal_store_read(u16 address) {
-    return stored[address];
-}
-
-void hal_store_write(u16 address, u16 word) {
-    stored[address] = word;
-    mix((u32)address << 16 | word);
-}
-
-hal_reset_cause hal_read_reset_cause(void) {
-    return HAL_RESET_POWER_ON;
-}
-
-void hal_service_watchdog(void) {}
-
-u16 hal_read_tick_overruns(void) {
     return 0;
 }
 
@@ -191,7 +110,7 @@ enum {
 
 static void ask_for_stream(u16 stream, u16 period_ms, u16 first, u16 signals) {
     u16 i;
-    begin(REQUEST_stream);
+    begin_request(REQUEST_stream);
     frame_add_u8(&request, stream);
     frame_add_u16(&request, period_ms);
     for (i = 0; i < signals; i++)
@@ -199,14 +118,14 @@ static void ask_for_stream(u16 stream, u16 period_ms, u16 first, u16 signals) {
 }
 
 static void command_velocity(i16 x_mm_s, i16 y_mm_s, i16 turn_mrad_s) {
-    begin(REQUEST_velocity);
+    begin_request(REQUEST_velocity);
     frame_add_u16(&request, (u16)x_mm_s);
     frame_add_u16(&request, (u16)y_mm_s);
     frame_add_u16(&request, (u16)turn_mrad_s);
 }
 
 static void command_pose(i16 x_mm, i16 y_mm, i16 theta_mrad, i16 x_m_s_q13) {
-    begin(REQUEST_pose);
+    begin_request(REQUEST_pose);
     frame_add_u32(&request, (u32)((i32)x_mm * 8192));
     frame_add_u32(&request, (u32)((i32)y_mm * 8192));
     frame_add_u32(&request, (u32)((i32)theta_mrad * 8192));
@@ -217,7 +136,7 @@ static void command_pose(i16 x_mm, i16 y_mm, i16 theta_mrad, i16 x_m_s_q13) {
 
 static void see_from_outside(const robot *r) {
     const odometry_pose *pose = &r->loop.telemetry.pose;
-    begin(REQUEST_outside_pose);
+    begin_request(REQUEST_outside_pose);
     frame_add_u32(&request, (u32)(pose->x_mm_q13 + next_random()));
     frame_add_u32(&request, (u32)(pose->y_mm_q13 - next_random()));
     frame_add_u32(&request, (u32)(pose->theta_mrad_q13 / 2));
@@ -226,7 +145,7 @@ static void see_from_outside(const robot *r) {
 
 static void command_duty(i16 duty) {
     u16 i;
-    begin(REQUEST_duty);
+    begin_request(REQUEST_duty);
     for (i = 0; i < WHEEL_COUNT; i++)
         frame_add_u16(&request, (u16)(i < 2 ? -duty : duty));
 }
@@ -237,7 +156,7 @@ static void make_request(const robot *r, u16 slot) {
         if (slot < 2) {
             ask_for_stream(slot, (u16)(5 + 15 * slot), (u16)(14 * slot), (u16)(14 - 7 * slot));
         } else {
-            begin(slot == 2 ? REQUEST_arm : REQUEST_identify);
+            begin_request(slot == 2 ? REQUEST_arm : REQUEST_identify);
         }
     } else if (slot % 7 == 0 && second < 11) {
         see_from_outside(r);
@@ -254,7 +173,7 @@ static void make_request(const robot *r, u16 slot) {
     } else if (second < 11) {
         command_velocity(0, (i16)(1000 - 4 * (i16)(slot % 100U)), 0);
     } else {
-        begin(slot % 20 == 0 ? REQUEST_parameters_save : REQUEST_parameter_describe);
+        begin_request(slot % 20 == 0 ? REQUEST_parameters_save : REQUEST_parameter_describe);
         if (request.byte[2] == REQUEST_parameter_describe)
             frame_add_u8(&request, slot % 64U);
     }
@@ -295,8 +214,7 @@ int main(void) {
     static robot r;
     u16 driven_ms = 0;
     u16 tick;
-    for (tick = 0; tick < HAL_STORE_WORDS; tick++)
-        stored[tick] = 0xFFFFU;
+    integer_hal_start();
     robot_init(&r);
     for (tick = 0; tick < SECONDS * 1000U; tick++) {
         if (tick % 10U == 0)
@@ -304,7 +222,7 @@ int main(void) {
         change_world(tick);
         timed_tick(&r);
         plant_tick();
-        sent_bytes = (u16)(sent_bytes < 11 ? 0 : sent_bytes - 11);
+        integer_hal_tick();
         mix((u32)r.loop.telemetry.pose.x_mm_q13);
         mix((u32)r.loop.target.velocity.axis_q22[1]);
         if (r.loop.telemetry.state == SUPERVISOR_STATE_DRIVE)
@@ -316,7 +234,7 @@ int main(void) {
                    (long)(r.loop.telemetry.pose.y_mm_q13 / 8192), (unsigned)r.loop.telemetry.fault,
                    (long)rim_um_s[0], (unsigned)r.told.counters.samples_lost);
     }
-    printf("driven %u ms, %u requests\n", driven_ms, sequence);
+    printf("driven %u ms\n", driven_ms);
 #ifdef __AVR__
     printf("cycles of a tick: mean %lu, longest %lu\n",
            (unsigned long)(cycles_in_all / (SECONDS * 125U)), (unsigned long)longest_cycles);

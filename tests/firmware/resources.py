@@ -17,6 +17,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 ROOT = Path(__file__).parents[2]
+HERE = ROOT / "tests/firmware"
 SOURCES = sorted((ROOT / "firmware").glob("*.c"))
 RAM_LIMIT_WORDS = 2000
 ENTRIES = ("robot_init", "robot_tick")
@@ -95,7 +96,7 @@ def tick_instructions() -> dict[str, int]:
         where = Path(folder)
         run(
             *("gcc", "-O2", "-g", "-fno-inline", f"-I{ROOT}", "-o", "drive"),
-            *(str(ROOT / "tests/firmware/golden_drive.c"), *map(str, SOURCES)),
+            *(str(HERE / "golden_drive.c"), str(HERE / "integer_hal.c"), *map(str, SOURCES)),
             cwd=where,
         )
         run(

@@ -7,20 +7,9 @@
  * with pseudo-random fields, among noise.
  */
 #include "firmware/robot.h"
-#include "hal/hal.h"
+#include "tests/firmware/integer_hal.h"
 
-static u32 seed = 1;
-static u32 checksum = 0;
 static u16 counter[WHEEL_COUNT];
-
-static u16 next_random(void) {
-    seed = seed * (u32)1664525 + (u32)1013904223;
-    return (u16)(seed >> 16);
-}
-
-static void mix(u32 value) {
-    checksum = (checksum << 5) + (checksum >> 27) + value;
-}
 
 void hal_read_encoder_counts(u16 counts[4]) {
     u16 i;
@@ -44,26 +33,15 @@ void hal_read_currents_ma(i16 current_ma[4]) {
         current_ma[i] = (i16)(next_random() >> 4);
 }
 
-void hal_enable_bridges(u16 on) {
-    mix(on);
-}
-
 u16 hal_read_bridge_faults(void) {
     return next_random() % 128U == 0 ? 2 : 0;
 }
 
-void hal_write_duty(const i16 duty_q15[4]) {
-    u16 i;
-    for (i = 0; i < WHEEL_COUNT; i++)
-        mix((u16)duty_q15[i]);
+u16 hal_serial_lost(void) {
+    return next_random() % 32U == 0 ? 1 : 0;
 }
 
-/* ---- the line and the store of the robot ---- */
-
-static frame_writer request;
-static u16 request_read;
-static u16 request_sequence;
-static u16 stored[HAL_STORE_WORDS];
+/* ---- the robot behind its line ---- */
 
 #define REQUEST(name, code, bytes, more, fields, answer, description) code, bytes,
 static u16 requests[] = {
@@ -71,75 +49,29 @@ static u16 requests[] = {
 };
 #define REQUESTS (sizeof requests / sizeof requests[0] / 2)
 
+/* Any request with any content, one byte in 256 changed on the way. */
 static void make_request(void) {
     const u16 row = (u16)(next_random() % REQUESTS);
     u16 i;
-    frame_begin(&request);
-    frame_add_u8(&request, LINK_VERSION);
-    frame_add_u8(&request, requests[2 * row]);
-    frame_add_u8(&request, request_sequence++);
+    begin_request(requests[2 * row]);
     for (i = 0; i < requests[2 * row + 1]; i++)
         frame_add_u8(&request, next_random() % 4U == 0 ? 0 : next_random() >> 10);
     frame_finish(&request);
-    request_read = 0;
-}
-
-u16 hal_serial_read(u16 *byte) {
-    if (request_read >= request.length) {
-        make_request();
-        return 0;
-    }
-    *byte = request.byte[request_read++];
-    if (next_random() % 256U == 0)
-        *byte ^= 4;
-    return 1;
-}
-
-u16 hal_serial_space(void) {
-    return 100;
-}
-
-void hal_serial_write(u16 byte) {
-    mix(byte);
-}
-
-u16 hal_serial_lost(void) {
-    return next_random() % 32U == 0 ? 1 : 0;
-}
-
-u16 hal_store_busy(void) {
-    return 0;
-}
-
-u16 hal_store_read(u16 address) {
-    return stored[address];
-}
-
-void hal_store_write(u16 address, u16 word) {
-    stored[address] = word;
-    mix((u32)address << 16 | word);
-}
-
-hal_reset_cause hal_read_reset_cause(void) {
-    return HAL_RESET_POWER_ON;
-}
-
-void hal_service_watchdog(void) {
-    mix(1);
-}
-
-u16 hal_read_tick_overruns(void) {
-    return 0;
+    for (i = 0; i < request.length; i++)
+        request.byte[i] ^= next_random() % 256U == 0 ? 4 : 0;
 }
 
 static void run_robot(robot *r) {
     i16 tick;
-    request.length = 0;
+    integer_hal_start();
     robot_init(r);
     for (tick = 0; tick < 600; tick++) {
         if (tick % 20 == 0 && !control_loop_arm(&r->loop))
             control_loop_clear_fault(&r->loop);
+        if (request_is_received())
+            make_request();
         robot_tick(r);
+        integer_hal_tick();
         mix((u16)r->settings.value[next_random() % PARAMETER_COUNT]);
     }
     mix(r->told.counters.bad_frames);
