@@ -114,27 +114,46 @@ static u16 most_loaded(const i16 force_n_q8[WHEEL_COUNT], u16 *largest_q8) {
     return wheel;
 }
 
+/* Forces of the wheels for 1 / 2^bits of a change, before they are spread; returns the most loaded
+ * one, 0..3. */
+static u16 wheel_loads(const parameters *p, odometry_heading heading, const traction_change *change, u16 bits,
+                       i16 force_n_q8[WHEEL_COUNT], u16 *largest_q8) {
+    traction_change part;
+    kinematics_force force;
+    u16 axis;
+    for (axis = 0; axis < 3; axis++)
+        part.axis_q22[axis] = change->axis_q22[axis] / ((i32)1 << bits);
+    force = traction_inertia_force(p, heading, &part);
+    kinematics_wheel_forces(p, &force, force_n_q8);
+    return most_loaded(force_n_q8, largest_q8);
+}
+
 u16 traction_limit(const parameters *p, odometry_heading heading, traction_change *change) {
     const u16 limit_q8 = (u16)PARAMETER_GET(p, traction_limit_q8);
-    const kinematics_force force = traction_inertia_force(p, heading, change);
+    traction_change clamped;
     i16 force_n_q8[WHEEL_COUNT];
     u16 largest_q8;
+    u16 bits = 0;
     i16 scale_q15;
     u16 wheel, axis;
-    kinematics_wheel_forces(p, &force, force_n_q8);
-    wheel = most_loaded(force_n_q8, &largest_q8);
+    clamped.axis_q22[0] = fixed_clamp_i32(change->axis_q22[0], LINEAR_CHANGE_LIMIT_Q22);
+    clamped.axis_q22[1] = fixed_clamp_i32(change->axis_q22[1], LINEAR_CHANGE_LIMIT_Q22);
+    clamped.axis_q22[2] = fixed_clamp_i32(change->axis_q22[2], ANGULAR_CHANGE_LIMIT_Q22);
+    wheel = wheel_loads(p, heading, &clamped, 0, force_n_q8, &largest_q8);
     if (largest_q8 <= limit_q8)
-        return 0; /* spreading could only make it less */
+        return 0;                /* spreading could only make it less */
+    if (largest_q8 >= I16_MAX) { /* saturated: a sixteenth of the demand tells how large it is */
+        bits = 4;
+        wheel = wheel_loads(p, heading, &clamped, bits, force_n_q8, &largest_q8);
+    }
     spread(p, force_n_q8);
     most_loaded(force_n_q8, &largest_q8);
-    if (largest_q8 <= limit_q8)
+    if ((u32)largest_q8 << bits <= limit_q8)
         return 0;
-    scale_q15 = (i16)fixed_divide((i32)limit_q8, largest_q8, 15); /* Q8 / Q8 * 2^15, below 1 */
-    change->axis_q22[0] = fixed_clamp_i32(change->axis_q22[0], LINEAR_CHANGE_LIMIT_Q22);
-    change->axis_q22[1] = fixed_clamp_i32(change->axis_q22[1], LINEAR_CHANGE_LIMIT_Q22);
-    change->axis_q22[2] = fixed_clamp_i32(change->axis_q22[2], ANGULAR_CHANGE_LIMIT_Q22);
+    /* Q8 / Q8 * 2^15, below 1 */
+    scale_q15 = (i16)fixed_divide((i32)limit_q8, largest_q8, (u16)(15U - bits));
     for (axis = 0; axis < 3; axis++) {
-        change->axis_q22[axis] = fixed_multiply_i32_q15(change->axis_q22[axis], scale_q15);
+        change->axis_q22[axis] = fixed_multiply_i32_q15(clamped.axis_q22[axis], scale_q15);
     }
     return (u16)(wheel + 1U);
 }

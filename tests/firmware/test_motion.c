@@ -114,6 +114,22 @@ static void the_limited_force_is_the_limit(void) {
     TEST_ASSERT_INT_WITHIN(8, PARAMETER_GET(&p, traction_limit_q8), largest);
 }
 
+/* Beyond what the formats of force and acceleration hold, the limit holds all the same. */
+static void no_demand_is_too_large_for_the_limit(void) {
+    for (int axis = 0; axis < 3; axis++) {
+        traction_change change = {{0, 0, 0}};
+        kinematics_force force;
+        i16 wheel[4];
+        change.axis_q22[axis] = 20000000;
+        TEST_ASSERT_NOT_EQUAL_UINT(0, traction_limit(&p, 0, &change));
+        force = traction_inertia_force(&p, 0, &change);
+        traction_wheel_forces(&p, &force, wheel);
+        for (int i = 0; i < 4; i++)
+            TEST_ASSERT_TRUE(abs(wheel[i]) <= PARAMETER_GET(&p, traction_limit_q8) + 8);
+        TEST_ASSERT_GREATER_THAN_INT32(1000, change.axis_q22[axis]);
+    }
+}
+
 /* ---- spreading the load ---- */
 
 static double largest_of(const double force[4], const double null[4], double z) {
@@ -459,6 +475,7 @@ int main(void) {
     RUN_TEST(to_the_body_is_a_turn_by_the_negative_heading);
     RUN_TEST(a_change_within_the_grip_passes_unchanged);
     RUN_TEST(a_change_beyond_the_grip_keeps_its_direction);
+    RUN_TEST(no_demand_is_too_large_for_the_limit);
     RUN_TEST(the_limited_force_is_the_limit);
     RUN_TEST(spread_is_the_best_there_is);
     RUN_TEST(spread_is_the_best_for_uneven_wheels_too);
