@@ -278,6 +278,22 @@ static void outside_pose_moves_the_robot_without_a_jump_of_the_speed(void) {
     TEST_ASSERT_DOUBLE_WITHIN(2.0, 0.0, believed_y_mm());
 }
 
+/* A camera that says that a standing robot looks 100 mrad to the left of its belief: it turns back,
+ * and stays where it is. */
+static void heading_error_is_turned_back(void) {
+    drive(0, 0, 0, 100);
+    for (int n = 0; n < 200; n++) {
+        const odometry_pose seen = {
+            0, 0, (i32)lround((1000.0 * plant.state[PLANT_THETA] + 100.0) * 8192.0)};
+        TEST_ASSERT_TRUE(control_loop_outside_pose(&loop, &seen, 0));
+        drive(0, 0, 0, 20);
+    }
+    TEST_ASSERT_DOUBLE_WITHIN(0.001, -0.1, plant.state[PLANT_THETA]);
+    TEST_ASSERT_DOUBLE_WITHIN(0.5, 0.0, loop.telemetry.pose.theta_mrad_q13 / 8192.0);
+    TEST_ASSERT_DOUBLE_WITHIN(1.0, 0.0, true_x_mm());
+    TEST_ASSERT_DOUBLE_WITHIN(1.0, 0.0, true_y_mm());
+}
+
 static void commands_need_arming(void) {
     const odometry_pose goal = {8192000, 0, 0};
     static const i16 duty_q15[4] = {1000, 1000, 1000, 1000};
@@ -521,6 +537,7 @@ int main(void) {
     RUN_TEST(unreachable_pose_leaves_the_command_in_force);
     RUN_TEST(change_of_command_does_not_jump);
     RUN_TEST(outside_pose_moves_the_robot_without_a_jump_of_the_speed);
+    RUN_TEST(heading_error_is_turned_back);
     RUN_TEST(commands_need_arming);
     RUN_TEST(fault_at_boot_waits_to_be_cleared);
     RUN_TEST(command_that_is_not_repeated_dies_after_200_ms);

@@ -71,7 +71,7 @@ static void the_position_saturates_instead_of_wrapping(void) {
 }
 
 static void to_the_body_is_a_turn_by_the_negative_heading(void) {
-    for (unsigned angle = 0; angle < 65536; angle++) {
+    for (u32 angle = 0; angle < 65536; angle += 7) {
         i16 x = 20000, y = -9000, turned_x = x, turned_y = y;
         odometry_world_to_body(odometry_heading_of((u16)angle), &x, &y);
         odometry_rotate((u16)(65536 - angle), &turned_x, &turned_y);
@@ -81,6 +81,20 @@ static void to_the_body_is_a_turn_by_the_negative_heading(void) {
 }
 
 /* ---- traction ---- */
+
+/* Newton for 20 kg and 0.55 kg m2: 2 m/s2 towards world x push a robot that looks left to its
+ * right, towards world y forward; 10 rad/s2 turn it however it looks. */
+static void inertia_is_mass_times_acceleration_in_the_body_frame(void) {
+    const traction_change to_x = {{8389, 0, 41943}}, to_y = {{0, 8389, -41943}};
+    kinematics_force force = traction_inertia_force(&p, odometry_heading_of(16384), &to_x);
+    TEST_ASSERT_INT16_WITHIN(2, 0, force.x_n_q6);
+    TEST_ASSERT_INT16_WITHIN(2, -40 * 64, force.y_n_q6);
+    TEST_ASSERT_INT16_WITHIN(2, 1408, force.torque_n_m_q8); /* 5.5 N m */
+    force = traction_inertia_force(&p, odometry_heading_of(16384), &to_y);
+    TEST_ASSERT_INT16_WITHIN(2, 40 * 64, force.x_n_q6);
+    TEST_ASSERT_INT16_WITHIN(2, 0, force.y_n_q6);
+    TEST_ASSERT_INT16_WITHIN(2, -1408, force.torque_n_m_q8);
+}
 
 static void a_change_within_the_grip_passes_unchanged(void) {
     /* 2 m/s2 forward: 20 N per wheel, below the limit of 20.6 N */
@@ -114,6 +128,21 @@ static void the_limited_force_is_the_limit(void) {
     TEST_ASSERT_INT_WITHIN(8, PARAMETER_GET(&p, traction_limit_q8), largest);
 }
 
+static void a_change_that_takes_exactly_the_limit_passes(void) {
+    const traction_change demand = {{20000, 20000, 60000}};
+    traction_change change = demand;
+    const kinematics_force force = traction_inertia_force(&p, odometry_heading_of(0), &demand);
+    i16 wheel[4], largest = 0;
+    traction_wheel_forces(&p, &force, wheel);
+    for (int i = 0; i < 4; i++)
+        largest = (i16)abs(wheel[i]) > largest ? (i16)abs(wheel[i]) : largest;
+    parameters_set(&p, PARAMETER_ID_traction_limit_q8, largest);
+    TEST_ASSERT_EQUAL_UINT(0, traction_limit(&p, odometry_heading_of(0), &change));
+    TEST_ASSERT_EQUAL_MEMORY(&demand, &change, sizeof demand);
+    parameters_set(&p, PARAMETER_ID_traction_limit_q8, largest - 1);
+    TEST_ASSERT_NOT_EQUAL_UINT(0, traction_limit(&p, odometry_heading_of(0), &change));
+}
+
 /* Beyond what the formats of force and acceleration hold, the limit holds all the same. */
 static void no_demand_is_too_large_for_the_limit(void) {
     for (int axis = 0; axis < 3; axis++) {
@@ -121,8 +150,8 @@ static void no_demand_is_too_large_for_the_limit(void) {
         kinematics_force force;
         i16 wheel[4];
         change.axis_q22[axis] = 20000000;
-        TEST_ASSERT_NOT_EQUAL_UINT(0, traction_limit(&p, 0, &change));
-        force = traction_inertia_force(&p, 0, &change);
+        TEST_ASSERT_NOT_EQUAL_UINT(0, traction_limit(&p, odometry_heading_of(0), &change));
+        force = traction_inertia_force(&p, odometry_heading_of(0), &change);
         traction_wheel_forces(&p, &force, wheel);
         for (int i = 0; i < 4; i++)
             TEST_ASSERT_TRUE(abs(wheel[i]) <= PARAMETER_GET(&p, traction_limit_q8) + 8);
@@ -182,14 +211,9 @@ static void spread_is_the_best_there_is(void) {
     }
 }
 
-/* Wheels at 20, 120, 215 and 320 degrees: the null vector has four different entries. */
-static void spread_is_the_best_for_uneven_wheels_too(void) {
-    static const double angles_deg[4] = {20.0, 120.0, 215.0, 320.0};
-    static const double forward[3][4] = {{-0.244682, -0.520923, 0.389240, 0.376364},
-                                         {0.372077, -0.223994, -0.411181, 0.263099},
-                                         {1.072745, 1.363658, 1.444648, 1.118949}};
-    static const double null[4] = {1.186806, -0.810282, 0.777152, -1.153677};
-    uint64_t seed = 43;
+/* A robot with its wheels at these angles, J+ and the null vector. */
+static void set_wheels(const double angles_deg[4], const double forward[3][4],
+                       const double null[4]) {
     for (int i = 0; i < 4; i++) {
         const double g = angles_deg[i] * REFERENCE_PI / 180.0;
         p.value[PARAMETER_ID_drive_x_1_q15 + i] = (i16)lround(-sin(g) * 32767.0);
@@ -199,6 +223,32 @@ static void spread_is_the_best_for_uneven_wheels_too(void) {
         p.value[PARAMETER_ID_forward_omega_1_q13 + i] = (i16)lround(forward[2][i] * 8192.0);
         p.value[PARAMETER_ID_null_1_q13 + i] = (i16)lround(null[i] * 8192.0);
     }
+}
+
+/* Wheels at 20, 120, 215 and 320 degrees: the null vector has four different entries. */
+static void spread_is_the_best_for_uneven_wheels_too(void) {
+    static const double angles_deg[4] = {20.0, 120.0, 215.0, 320.0};
+    static const double forward[3][4] = {{-0.244682, -0.520923, 0.389240, 0.376364},
+                                         {0.372077, -0.223994, -0.411181, 0.263099},
+                                         {1.072745, 1.363658, 1.444648, 1.118949}};
+    static const double null[4] = {1.186806, -0.810282, 0.777152, -1.153677};
+    uint64_t seed = 43;
+    set_wheels(angles_deg, forward, null);
+    for (int n = 0; n < REFERENCE_CASES(5000); n++) {
+        check_spread(reference_random_i16(&seed, 4000), reference_random_i16(&seed, 4000),
+                     reference_random_i16(&seed, 3000));
+    }
+}
+
+/* Three directions, one of them with two wheels: only these can share a load. */
+static void spread_leaves_wheels_alone_that_have_no_partner(void) {
+    static const double angles_deg[4] = {60.0, 60.0, 180.0, 300.0};
+    static const double forward[3][4] = {{-0.288675, -0.288675, 0.0, 0.577350},
+                                         {0.166667, 0.166667, -0.666667, 0.333333},
+                                         {0.833283, 0.833283, 1.666565, 1.666565}};
+    static const double null[4] = {1.414214, -1.414214, 0.0, 0.0};
+    uint64_t seed = 53;
+    set_wheels(angles_deg, forward, null);
     for (int n = 0; n < REFERENCE_CASES(5000); n++) {
         check_spread(reference_random_i16(&seed, 4000), reference_random_i16(&seed, 4000),
                      reference_random_i16(&seed, 3000));
@@ -319,6 +369,69 @@ static void long_move_takes_the_time_of_the_speed_limit(void) {
     TEST_ASSERT_DOUBLE_WITHIN(0.05, 2.33, most.speed_m_s);
 }
 
+/* The same for rotation: 3 rad at 1 rad/s take 4.5 s. */
+static void long_turn_takes_the_time_of_the_speed_limit(void) {
+    const odometry_pose goal = {0, 0, 3000L * 8192};
+    trajectory t;
+    extremes most;
+    parameters_set(&p, PARAMETER_ID_omega_limit_q11, 2048);
+    trajectory_start(&t, &origin, &still);
+    trajectory_plan(&t, &p, &goal, &still);
+    most = run_to_arrival(&t);
+    TEST_ASSERT_INT_WITHIN(35, 4500 + 35, most.ticks); /* 1/64 */
+    TEST_ASSERT_TRUE(most.omega_rad_s < 1.001);
+}
+
+/* The plan to begin with, as trajectory.h derives it: the longer of
+ *     (|v1 - v0| + 6 |s|) / a + sqrt(6 |D| / a)   and   3 |D| / (2 v_limit - max |v|),
+ * in s, for moves whose time at the mean speed, D s / s^2, is none. */
+static void check_first_plan(double plan_s, const odometry_pose *goal,
+                             const kinematics_velocity *v0, const kinematics_velocity *v1) {
+    trajectory t;
+    trajectory_start(&t, &origin, v0);
+    TEST_ASSERT_EQUAL(TRAJECTORY_OK, trajectory_plan(&t, &p, goal, v1));
+    TEST_ASSERT_DOUBLE_WITHIN(10.0, 1000.0 * plan_s, t.ticks_left);
+}
+
+static void the_first_plan_surely_fits(void) {
+    const double a = 1507.0 / 1024.0, alpha = 5479.0 / 256.0;
+    /* from (1, 0) to (0, -0.5) m/s over (-2, 2) m: |v1 - v0| = sqrt 1.25, |s| half of it */
+    const odometry_pose corner = {-2000L * 8192, 2000L * 8192, 0};
+    const kinematics_velocity forward = {8192, 0, 0}, right = {0, -4096, 0};
+    /* away from the goal at 2 m/s, which is 20 m behind */
+    const odometry_pose behind = {-20000L * 8192, 0, 0};
+    const kinematics_velocity away = {16384, 0, 0};
+    /* from 3 to -2 rad/s over 1.5 rad */
+    const odometry_pose turned = {0, 0, 1500L * 8192};
+    const kinematics_velocity turning = {0, 0, 6144}, turning_back = {0, 0, -4096};
+    check_first_plan(4.0 * sqrt(1.25) / a + sqrt(6.0 * sqrt(8.0) / a), &corner, &forward, &right);
+    check_first_plan(3.0 * 20.0 / (2.0 * 19275.0 / 8192.0 - 2.0), &behind, &away, &still);
+    check_first_plan(8.0 / alpha + sqrt(6.0 * 1.5 / alpha), &turned, &turning, &turning_back);
+}
+
+/* The least that turns already, 0.5 to 4 mrad/s, must not cost time: as from rest, 1.43 s. */
+static void a_robot_that_hardly_turns_moves_as_fast_as_one_that_does_not(void) {
+    const odometry_pose goal = {4096000, 0, 0};
+    for (i16 omega = -8; omega <= 8; omega++) {
+        const kinematics_velocity v = {0, 0, omega};
+        trajectory t;
+        trajectory_start(&t, &origin, &v);
+        trajectory_plan(&t, &p, &goal, &still);
+        TEST_ASSERT_INT_WITHIN(25, 1428 + 13, run_to_arrival(&t).ticks);
+    }
+}
+
+/* The time at the mean speed where that fits, of a robot that turns on the spot: 0.5 rad from 6 to
+ * 4 rad/s take 0.1 s. The one that surely fits would be 1.9 s. */
+static void the_first_plan_of_a_turn_is_the_time_at_the_mean_speed(void) {
+    const odometry_pose goal = {0, 0, 500L * 8192};
+    const kinematics_velocity v0 = {0, 0, 12288}, v1 = {0, 0, 8192};
+    trajectory t;
+    trajectory_start(&t, &origin, &v0);
+    TEST_ASSERT_EQUAL(TRAJECTORY_OK, trajectory_plan(&t, &p, &goal, &v1));
+    TEST_ASSERT_INT_WITHIN(1, 100, t.ticks_left);
+}
+
 static odometry_pose random_pose(uint64_t *seed) {
     odometry_pose pose;
     pose.x_mm_q13 = (i32)reference_random(seed) / 100;
@@ -383,7 +496,7 @@ static void a_goal_on_the_way_takes_the_time_of_the_way(void) {
  * exact. */
 static void limits_hold_when_the_goal_changes_in_flight(void) {
     uint64_t seed = 11;
-    for (int n = 0; n < 300; n++) {
+    for (int n = 0; n < REFERENCE_CASES(300); n++) {
         const odometry_pose first = random_pose(&seed), second = random_pose(&seed);
         const kinematics_velocity v1 = random_velocity(&seed), v2 = random_velocity(&seed);
         trajectory t;
@@ -430,7 +543,7 @@ static void velocity_ramps_along_the_commanded_direction(void) {
     const kinematics_velocity command = {8192, -4096, 0};
     trajectory t;
     trajectory_start(&t, &origin, &still);
-    for (int n = 0; n < REFERENCE_CASES(300); n++) {
+    for (int n = 0; n < 300; n++) {
         TEST_ASSERT_EQUAL_UINT(0, trajectory_step_velocity(&t, &p, &command));
     }
     /* 1.4717 m/s2 for 0.3 s along (2, -1) / sqrt 5 */
@@ -441,6 +554,21 @@ static void velocity_ramps_along_the_commanded_direction(void) {
     /* The command passes a rotation by 0, whose cosine is one LSB short of 1. */
     TEST_ASSERT_INT32_WITHIN(512, 8192L * 512, t.velocity.axis_q22[0]);
     TEST_ASSERT_INT32_WITHIN(512, -4096L * 512, t.velocity.axis_q22[1]);
+}
+
+static void a_velocity_ends_the_plan(void) {
+    const odometry_pose goal = {8192000, 0, 0};
+    const kinematics_velocity command = {0, 4096, 0};
+    traction_change before;
+    trajectory t;
+    trajectory_start(&t, &origin, &still);
+    trajectory_plan(&t, &p, &goal, &still);
+    for (int n = 0; n < 200; n++)
+        trajectory_step_to_pose(&t, &p);
+    trajectory_step_velocity(&t, &p, &command);
+    before = t.velocity;
+    trajectory_step_to_pose(&t, &p); /* nothing is planned: onwards */
+    TEST_ASSERT_EQUAL_MEMORY(&before, &t.velocity, sizeof before);
 }
 
 static void velocity_commands_are_limited_along_their_direction(void) {
@@ -473,24 +601,32 @@ int main(void) {
     RUN_TEST(left_of_a_robot_that_looks_left_is_backward);
     RUN_TEST(the_position_saturates_instead_of_wrapping);
     RUN_TEST(to_the_body_is_a_turn_by_the_negative_heading);
+    RUN_TEST(inertia_is_mass_times_acceleration_in_the_body_frame);
     RUN_TEST(a_change_within_the_grip_passes_unchanged);
     RUN_TEST(a_change_beyond_the_grip_keeps_its_direction);
+    RUN_TEST(a_change_that_takes_exactly_the_limit_passes);
     RUN_TEST(no_demand_is_too_large_for_the_limit);
     RUN_TEST(the_limited_force_is_the_limit);
     RUN_TEST(spread_is_the_best_there_is);
     RUN_TEST(spread_is_the_best_for_uneven_wheels_too);
+    RUN_TEST(spread_leaves_wheels_alone_that_have_no_partner);
     RUN_TEST(x_y_and_rotation_at_once_spare_the_worst_wheel_a_third);
     RUN_TEST(the_limit_names_the_wheel);
     RUN_TEST(arrival_is_exact_with_the_velocity_asked_for);
     RUN_TEST(short_move_takes_the_time_of_the_acceleration_limit);
     RUN_TEST(the_way_is_on_the_cubic);
     RUN_TEST(long_move_takes_the_time_of_the_speed_limit);
+    RUN_TEST(long_turn_takes_the_time_of_the_speed_limit);
+    RUN_TEST(the_first_plan_surely_fits);
+    RUN_TEST(a_robot_that_hardly_turns_moves_as_fast_as_one_that_does_not);
+    RUN_TEST(the_first_plan_of_a_turn_is_the_time_at_the_mean_speed);
     RUN_TEST(moves_from_rest_take_the_time_that_their_limits_need);
     RUN_TEST(a_goal_on_the_way_takes_the_time_of_the_way);
     RUN_TEST(limits_hold_when_the_goal_changes_in_flight);
     RUN_TEST(theta_goes_the_shorter_way_round);
     RUN_TEST(a_goal_beyond_60_s_is_refused_and_the_plan_kept);
     RUN_TEST(velocity_ramps_along_the_commanded_direction);
+    RUN_TEST(a_velocity_ends_the_plan);
     RUN_TEST(velocity_commands_are_limited_along_their_direction);
     RUN_TEST(a_ramp_beyond_the_grip_is_cut_and_says_so);
     return UNITY_END();

@@ -135,6 +135,34 @@ static void a_robot_that_does_not_drive_takes_the_pose_as_it_is(void) {
     TEST_ASSERT_EQUAL_MEMORY(&seen, &pose, sizeof pose);
 }
 
+/* 100 ms at (1, 0.5) m/s, then a pose seen at their start that is turned by a quarter: the way
+ * since then is turned with it. */
+static void the_way_since_then_turns_with_the_heading(void) {
+    const kinematics_velocity body = {8192, 4096, 0};
+    const odometry_pose seen = {0, 0, ODOMETRY_FULL_TURN_MRAD_Q13 / 4};
+    for (int n = 0; n < 100; n++) {
+        odometry_step(&pose, &body);
+        outside_pose_step(&outside, &pose);
+    }
+    TEST_ASSERT_TRUE(outside_pose_take(&outside, &p, &pose, &seen, 100, 0));
+    TEST_ASSERT_DOUBLE_WITHIN(0.1, -50.0, pose.x_mm_q13 / 8192.0);
+    TEST_ASSERT_DOUBLE_WITHIN(0.1, 100.0, pose.y_mm_q13 / 8192.0);
+    TEST_ASSERT_INT32_WITHIN(1, ODOMETRY_FULL_TURN_MRAD_Q13 / 4, pose.theta_mrad_q13);
+}
+
+/* 10 ms at 1 m/s from the reset: 5 ms ago the robot was at 5 mm, and a camera that saw it there has
+ * no news. */
+static void the_past_begins_with_the_reset(void) {
+    const kinematics_velocity body = {8192, 0, 0};
+    const odometry_pose seen = {5L * 8192, 0, 0};
+    for (int n = 0; n < 10; n++) {
+        odometry_step(&pose, &body);
+        outside_pose_step(&outside, &pose);
+    }
+    TEST_ASSERT_TRUE(outside_pose_take(&outside, &p, &pose, &seen, 5, 0));
+    TEST_ASSERT_INT32_WITHIN(8, 10L * 8192, pose.x_mm_q13); /* 1 um */
+}
+
 static void poses_of_unknown_age_are_refused(void) {
     const odometry_pose seen = {1000, 1000, 1000}, before = pose;
     const outside_pose state = outside;
@@ -171,6 +199,8 @@ int main(void) {
     RUN_TEST(drift_is_held_at_what_grows_until_it_is_corrected);
     RUN_TEST(a_correction_is_given_in_small_steps);
     RUN_TEST(a_robot_that_does_not_drive_takes_the_pose_as_it_is);
+    RUN_TEST(the_way_since_then_turns_with_the_heading);
+    RUN_TEST(the_past_begins_with_the_reset);
     RUN_TEST(poses_of_unknown_age_are_refused);
     RUN_TEST(garbage_does_no_harm);
     return UNITY_END();

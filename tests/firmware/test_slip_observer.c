@@ -1,4 +1,5 @@
 /* The slip observer, each of its four steps alone against its closed form. */
+#include <string.h>
 #include <unity.h>
 
 #include "firmware/slip_observer.h"
@@ -46,6 +47,29 @@ static void force_that_accelerates_the_shaft_is_not_the_rims(void) {
     }
     TEST_ASSERT_DOUBLE_WITHIN(0.1, 0.0, observer.force_n_q8[0] / 256.0);
     TEST_ASSERT_DOUBLE_WITHIN(0.1, 10.2, observer.force_n_q8[1] / 256.0);
+}
+
+/* 2 N of dry friction hold against the voltage of a shaft at rest, whichever way: of 10.2 N the
+ * floor gets 8.2, and of 1 N nothing. */
+static void dry_friction_at_rest_is_not_the_floors(void) {
+    const i16 volts[4] = {512, -512, 50, -50};
+    parameters_set(&p, PARAMETER_ID_coulomb_force_q8, 512);
+    run(volts, nothing, 100);
+    TEST_ASSERT_DOUBLE_WITHIN(0.02, 8.2, observer.force_n_q8[0] / 256.0);
+    TEST_ASSERT_DOUBLE_WITHIN(0.02, -8.2, observer.force_n_q8[1] / 256.0);
+    TEST_ASSERT_EQUAL_INT16(0, observer.force_n_q8[2]);
+    TEST_ASSERT_EQUAL_INT16(0, observer.force_n_q8[3]);
+}
+
+/* With all its parameters, from a memory that held anything. */
+static void a_robot_at_rest_is_believed_at_rest_from_the_first_tick(void) {
+    slip_observer rest;
+    parameters_set_defaults(&p);
+    memset(&observer, 0xA5, sizeof observer);
+    memset(&rest, 0, sizeof rest);
+    slip_observer_reset(&observer);
+    run(nothing, nothing, 1);
+    TEST_ASSERT_EQUAL_MEMORY(&rest, &observer, sizeof rest);
 }
 
 /* Newton: forward forces of 10.2 N per wheel are 4 * 10.2 / 2 N on 20 kg. */
@@ -108,6 +132,8 @@ int main(void) {
     UNITY_BEGIN();
     RUN_TEST(force_approaches_that_of_the_stalled_motor_as_a_low_pass);
     RUN_TEST(force_that_accelerates_the_shaft_is_not_the_rims);
+    RUN_TEST(dry_friction_at_rest_is_not_the_floors);
+    RUN_TEST(a_robot_at_rest_is_believed_at_rest_from_the_first_tick);
     RUN_TEST(known_forces_accelerate_the_body);
     RUN_TEST(known_torque_turns_the_body);
     RUN_TEST(free_body_keeps_its_direction_in_the_world);

@@ -25,11 +25,20 @@ static void drive(void) {
 
 /* ---- requests ---- */
 
-static void a_robot_drives_only_after_boot_arming_and_a_command(void) {
-    TEST_ASSERT_FALSE(supervisor_ask(&s, SUPERVISOR_ARM));
-    TEST_ASSERT_FALSE(supervisor_ask(&s, SUPERVISOR_COMMAND));
+static void a_start_forgets_all(void) {
+    drive();
+    supervisor_raise(&s, SUPERVISOR_FAULT_ENCODER_STUCK, 2);
+    supervisor_start(&s);
     TEST_ASSERT_EQUAL(SUPERVISOR_STATE_BOOT, s.state);
-    TEST_ASSERT_TRUE(supervisor_ask(&s, SUPERVISOR_READY));
+    TEST_ASSERT_EQUAL(SUPERVISOR_FAULT_NONE, s.fault);
+    TEST_ASSERT_EQUAL_UINT16(0, s.fault_wheel);
+}
+
+static void a_robot_drives_only_after_boot_arming_and_a_command(void) {
+    TEST_ASSERT_EQUAL_UINT16(0, supervisor_ask(&s, SUPERVISOR_ARM));
+    TEST_ASSERT_EQUAL_UINT16(0, supervisor_ask(&s, SUPERVISOR_COMMAND));
+    TEST_ASSERT_EQUAL(SUPERVISOR_STATE_BOOT, s.state);
+    TEST_ASSERT_EQUAL_UINT16(1, supervisor_ask(&s, SUPERVISOR_READY));
     TEST_ASSERT_FALSE(supervisor_ask(&s, SUPERVISOR_COMMAND));
     TEST_ASSERT_FALSE(supervisor_bridges_on(&s));
     TEST_ASSERT_TRUE(supervisor_ask(&s, SUPERVISOR_ARM));
@@ -88,6 +97,20 @@ static void after_a_timeout_the_next_command_drives(void) {
     TEST_ASSERT_EQUAL(SUPERVISOR_FAULT_NONE, s.fault);
 }
 
+/* The reason why the robot stands is shown until somebody wants it to move again. */
+static void stopping_and_disarming_do_not_hide_the_fault(void) {
+    drive();
+    supervisor_raise(&s, SUPERVISOR_FAULT_COMMAND_TIMEOUT, 0);
+    supervisor_ask(&s, SUPERVISOR_STOP);
+    TEST_ASSERT_EQUAL(SUPERVISOR_FAULT_COMMAND_TIMEOUT, s.fault);
+    supervisor_ask(&s, SUPERVISOR_DISARM);
+    TEST_ASSERT_EQUAL(SUPERVISOR_FAULT_COMMAND_TIMEOUT, s.fault);
+    supervisor_ask(&s, SUPERVISOR_READY); /* asked in every tick */
+    TEST_ASSERT_EQUAL(SUPERVISOR_FAULT_COMMAND_TIMEOUT, s.fault);
+    supervisor_ask(&s, SUPERVISOR_ARM);
+    TEST_ASSERT_EQUAL(SUPERVISOR_FAULT_NONE, s.fault);
+}
+
 static void under_voltage_leaves_by_itself_half_a_second_after_it_is_gone(void) {
     drive();
     for (int n = 0; n < 100; n++) {
@@ -119,6 +142,9 @@ static void other_faults_wait_for_a_host(void) {
 
 static void the_first_fault_is_shown_unless_a_stricter_one_follows(void) {
     supervisor_raise(&s, SUPERVISOR_FAULT_UNDER_VOLTAGE, 0);
+    supervisor_raise(&s, SUPERVISOR_FAULT_COMMAND_TIMEOUT, 0);
+    TEST_ASSERT_EQUAL(SUPERVISOR_FAULT_UNDER_VOLTAGE, s.fault);
+    TEST_ASSERT_EQUAL(SUPERVISOR_STATE_FAULT, s.state);
     supervisor_raise(&s, SUPERVISOR_FAULT_BRIDGE, 1);
     TEST_ASSERT_EQUAL(SUPERVISOR_FAULT_BRIDGE, s.fault);
     supervisor_raise(&s, SUPERVISOR_FAULT_ENCODER_STEP, 4);
@@ -147,9 +173,9 @@ static supervisor_fault after(int ticks, wheel_monitor_input input) {
 
 static void a_standing_counter_is_called_after_100_ms_by_its_current(void) {
     TEST_ASSERT_EQUAL(SUPERVISOR_FAULT_NONE, after(99, strained(7600, 2, 0)));
-    TEST_ASSERT_EQUAL(SUPERVISOR_FAULT_WHEEL_STALLED, after(1, strained(7600, 65534, 0)));
-    TEST_ASSERT_EQUAL(SUPERVISOR_FAULT_WHEEL_STALLED, after(1, strained(-7600, 0, 0)));
-    TEST_ASSERT_EQUAL(SUPERVISOR_FAULT_ENCODER_STUCK, after(1, strained(7400, 0, 0)));
+    TEST_ASSERT_EQUAL(SUPERVISOR_FAULT_WHEEL_STALLED, after(1, strained(7505, 65534, 0)));
+    TEST_ASSERT_EQUAL(SUPERVISOR_FAULT_WHEEL_STALLED, after(1, strained(-7505, 0, 0)));
+    TEST_ASSERT_EQUAL(SUPERVISOR_FAULT_ENCODER_STUCK, after(1, strained(7495, 0, 0)));
     TEST_ASSERT_EQUAL(SUPERVISOR_FAULT_ENCODER_STUCK, after(1, strained(0, 0, 0)));
 }
 
@@ -192,6 +218,8 @@ static void three_impossible_transitions_within_64_ms_are_called(void) {
         TEST_ASSERT_EQUAL(SUPERVISOR_FAULT_NONE, after(1, bad));
         TEST_ASSERT_EQUAL(SUPERVISOR_FAULT_NONE, after(64, good));
     }
+    TEST_ASSERT_EQUAL(SUPERVISOR_FAULT_NONE, after(2, bad)); /* two are no fault, however close */
+    after(128, good);
     after(1, bad);
     after(20, good);
     after(1, bad);
@@ -211,11 +239,13 @@ static void current_is_called_by_its_mean(void) {
 
 int main(void) {
     UNITY_BEGIN();
+    RUN_TEST(a_start_forgets_all);
     RUN_TEST(a_robot_drives_only_after_boot_arming_and_a_command);
     RUN_TEST(stop_and_disarm_end_the_drive);
     RUN_TEST(no_request_is_unsafe_in_any_state);
     RUN_TEST(every_fault_ends_the_drive_at_once);
     RUN_TEST(after_a_timeout_the_next_command_drives);
+    RUN_TEST(stopping_and_disarming_do_not_hide_the_fault);
     RUN_TEST(under_voltage_leaves_by_itself_half_a_second_after_it_is_gone);
     RUN_TEST(other_faults_wait_for_a_host);
     RUN_TEST(the_first_fault_is_shown_unless_a_stricter_one_follows);

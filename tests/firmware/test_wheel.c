@@ -41,6 +41,17 @@ static void wrap_of_the_counter_is_invisible_in_both_directions(void) {
     TEST_ASSERT_EQUAL_INT16(forward, speed_after(65530, 297, 4));
 }
 
+static void counts_of_a_tick_are_those_since_the_last(void) {
+    static const u16 counts[] = {65530, 4, 34, 14, 64, 124, 54, 134, 224}; /* 10, 10, 30, -20 ... */
+    wheel_speed state;
+    wheel_speed_reset(&state, 65520);
+    for (u16 i = 0; i < sizeof counts / sizeof counts[0]; i++) {
+        const i16 since = (i16)(counts[i] - (i > 0 ? counts[i - 1] : 65520U));
+        TEST_ASSERT_EQUAL_INT16(since, wheel_speed_counts_since(&state, counts[i]));
+        wheel_speed_step_rad_s_q5(&state, &p, counts[i]);
+    }
+}
+
 static void no_speed_follows_from_the_first_counter_value(void) {
     TEST_ASSERT_EQUAL_INT16(0, speed_after(41234, 0, 1));
 }
@@ -119,6 +130,25 @@ static void saturation_does_not_wind_up_the_integral(void) {
     TEST_ASSERT_EQUAL_UINT(1, limited);
     input = pid_input(0, 20, 5000); /* the error turns: the output must follow in one tick */
     TEST_ASSERT_LESS_THAN_INT(1, wheel_pid_step_v_q9(&pid, &p, &input, &limited));
+}
+
+/* Beyond either limit by the feed-forward, an error that points back into the range is integrated:
+ * 10 rad/s for 1 s take 1000 * 320 * Ki. */
+static void an_error_that_leads_out_of_the_limit_is_integrated(void) {
+    const double integral_v = 320.0 * 1000.0 * 3673.0 / 134217728.0;
+    for (int direction = -1; direction <= 1; direction += 2) {
+        const i16 ahead_q5 = (i16)(direction * 320);
+        const wheel_pid_input beyond = {0, ahead_q5, direction > 0 ? 20000 : -20000, 5000};
+        const wheel_pid_input rest = {0, 0, 0, 12288};
+        wheel_pid pid;
+        u16 limited = 0;
+        wheel_pid_reset(&pid, ahead_q5);
+        for (int n = 0; n < 1000; n++)
+            wheel_pid_step_v_q9(&pid, &p, &beyond, &limited);
+        TEST_ASSERT_EQUAL_UINT(1, limited);
+        TEST_ASSERT_DOUBLE_WITHIN(0.1, -direction * integral_v,
+                                  wheel_pid_step_v_q9(&pid, &p, &rest, &limited) / 512.0);
+    }
 }
 
 /* Voltages of a step of the target and then of 1 rad/s more speed in one tick. */
@@ -200,6 +230,7 @@ int main(void) {
     RUN_TEST(dry_friction_acts_against_the_shaft_and_is_slack_at_rest);
     RUN_TEST(one_count_per_tick_is_3_1416_rad_s);
     RUN_TEST(wrap_of_the_counter_is_invisible_in_both_directions);
+    RUN_TEST(counts_of_a_tick_are_those_since_the_last);
     RUN_TEST(no_speed_follows_from_the_first_counter_value);
     RUN_TEST(sum_of_speeds_is_the_angle);
     RUN_TEST(stalled_motor_pushes_with_a_u);
@@ -207,6 +238,7 @@ int main(void) {
     RUN_TEST(voltage_and_force_undo_each_other);
     RUN_TEST(integral_removes_a_steady_error_of_the_plant);
     RUN_TEST(saturation_does_not_wind_up_the_integral);
+    RUN_TEST(an_error_that_leads_out_of_the_limit_is_integrated);
     RUN_TEST(derivative_brakes_but_does_not_kick_when_the_target_steps);
     RUN_TEST(slip_is_the_inverse_of_the_friction_law);
     RUN_TEST(slip_is_bounded_beyond_the_grip);
