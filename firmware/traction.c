@@ -116,8 +116,8 @@ static u16 most_loaded(const i16 force_n_q8[WHEEL_COUNT], u16 *largest_q8) {
 
 /* Forces of the wheels for 1 / 2^bits of a change, before they are spread; returns the most loaded
  * one, 0..3. */
-static u16 wheel_loads(const parameters *p, odometry_heading heading, const traction_change *change, u16 bits,
-                       i16 force_n_q8[WHEEL_COUNT], u16 *largest_q8) {
+static u16 wheel_loads(const parameters *p, odometry_heading heading, const traction_change *change,
+                       u16 bits, i16 force_n_q8[WHEEL_COUNT], u16 *largest_q8) {
     traction_change part;
     kinematics_force force;
     u16 axis;

@@ -248,9 +248,9 @@ class Engine {
                                  bool keep_linear) const {
         check_size(values.shape(0));
         require_rate(kernel_->fastest_rate_1_s(values.data(), 1));
-        const Noise noise{to_vector(process),  to_vector(output), to_vector(initial),
-                          timing_s2,           unresolved,        unresolved_current,
-                          coloured,            colour_rate_1_s};
+        const Noise noise{to_vector(process), to_vector(output), to_vector(initial),
+                          timing_s2,          unresolved,        unresolved_current,
+                          coloured,           colour_rate_1_s};
         require(noise.process.size() == static_cast<std::size_t>(kernel_->states()) &&
                     noise.initial.size() == noise.process.size() &&
                     noise.output.size() == static_cast<std::size_t>(kernel_->outputs()) &&
@@ -300,8 +300,9 @@ class Engine {
                 return std::vector<double>(a.data() + i * a.shape(1),
                                            a.data() + (i + 1) * a.shape(1));
             };
-            noises[i] = {row(process),         row(output),          row(initial),
-                         timing_s2.data()[i],  unresolved.data()[i], unresolved_current.data()[i],
+            noises[i] = {row(process),         row(output),
+                         row(initial),         timing_s2.data()[i],
+                         unresolved.data()[i], unresolved_current.data()[i],
                          row(coloured),        colour_rate_1_s.data()[i]};
         }
         std::vector<double> log_likelihood(sets, 0.0);
@@ -309,7 +310,7 @@ class Engine {
         std::vector<double *> pointers;
         for (const Recording *r : recordings) {
             covariance.emplace_back(sets * static_cast<std::size_t>(r->rows) * outputs * outputs,
-                                   0.0);
+                                    0.0);
             pointers.push_back(covariance.back().data());
         }
         {
@@ -651,11 +652,11 @@ void bind_replay(nb::module_ &m) {
         .def(nb::init<const std::string &, int, const nb::list &, bool>(), "kind"_a,
              "widest_lanes"_a = 8, "user_effects"_a = nb::list(), "electric"_a = false)
         .def_prop_ro("states", [](const Engine &e) { return e.kernel().states(); })
-        .def_prop_ro("pushes", [](const Engine &e) { return e.kernel().pushes(); },
-                     "Disturbances: states of the filter behind those of the plant.")
-        .def_prop_ro("filter_states", [](const Engine &e) {
-            return e.kernel().states() + e.kernel().pushes();
-        })
+        .def_prop_ro(
+            "pushes", [](const Engine &e) { return e.kernel().pushes(); },
+            "Disturbances: states of the filter behind those of the plant.")
+        .def_prop_ro("filter_states",
+                     [](const Engine &e) { return e.kernel().states() + e.kernel().pushes(); })
         .def_prop_ro("outputs", [](const Engine &e) { return e.kernel().outputs(); })
         .def_prop_ro("motors", [](const Engine &e) { return e.kernel().motors(); })
         .def_prop_ro("parameters", [](const Engine &e) { return e.kernel().parameters(); })
@@ -667,7 +668,8 @@ void bind_replay(nb::module_ &m) {
         .def("derivatives", &Engine::derivatives_of, "values"_a, "states"_a, "commands"_a)
         .def("track", &Engine::tracks_of, "recordings"_a, "values"_a, "process"_a, "output"_a,
              "initial"_a, "timing_s2"_a = 0.0, "unresolved"_a = 0.0, "unresolved_current"_a = 0.0,
-             "coloured"_a = std::vector<double>(), "colour_rate_1_s"_a = 100.0, "step_s"_a = 1e-3, "window_s"_a = 1.0, "keep_linear"_a = false)
+             "coloured"_a = std::vector<double>(), "colour_rate_1_s"_a = 100.0, "step_s"_a = 1e-3,
+             "window_s"_a = 1.0, "keep_linear"_a = false)
         .def("likelihoods", &Engine::likelihoods_of, "recordings"_a, "tracks"_a, "process"_a,
              "output"_a, "initial"_a, "timing_s2"_a, "unresolved"_a, "unresolved_current"_a,
              "coloured"_a, "colour_rate_1_s"_a)

@@ -194,8 +194,8 @@ void bind_link(nb::module_ &m) {
                                         on_board ? Carrier::kBoard : Carrier::kPlant);
             },
             "parameters"_a, "effects"_a, "store"_a = std::vector<std::uint16_t>(),
-             "user_effects"_a = nb::list(), "step_s"_a = 1e-3, "on_board"_a = false,
-             "on_board: through the drivers on the virtual LF2407A instead of the stub HAL.")
+            "user_effects"_a = nb::list(), "step_s"_a = 1e-3, "on_board"_a = false,
+            "on_board: through the drivers on the virtual LF2407A instead of the stub HAL.")
         .def("advance", &pass_time, "ticks"_a, "sent"_a = nb::bytes("", 0),
              "Puts bytes on the line, lets ticks of 1 ms pass, returns the bytes delivered.")
         .def_prop_ro("ticks", &VirtualRobot::ticks)

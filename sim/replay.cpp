@@ -33,8 +33,8 @@ std::unique_ptr<Kernel> make_kernel(int kind, int, const UserTermList &terms) {
 #endif
 
 double change_into(const Recording &recording, int motors, int k, int motor) {
-    const std::size_t place =
-        static_cast<std::size_t>(k) * static_cast<std::size_t>(motors) + static_cast<std::size_t>(motor);
+    const std::size_t place = static_cast<std::size_t>(k) * static_cast<std::size_t>(motors) +
+                              static_cast<std::size_t>(motor);
     return k > 0 ? recording.command[place] -
                        recording.command[place - static_cast<std::size_t>(motors)]
                  : 0.0;
@@ -296,7 +296,8 @@ void likelihoods(const Kernel &kernel, const std::vector<const Recording *> &rec
     in_parallel(all * groups, [&](int task) {
         const std::size_t r = static_cast<std::size_t>(task / groups);
         const int first = (task % groups) * lanes;
-        const long plane = static_cast<long>(recordings[r]->rows) * kernel.outputs() * kernel.outputs();
+        const long plane =
+            static_cast<long>(recordings[r]->rows) * kernel.outputs() * kernel.outputs();
         kernel.likelihoods(*recordings[r], *tracks[r], &noises[static_cast<std::size_t>(first)],
                            std::min(lanes, count - first),
                            &of_run[r * noises.size() + static_cast<std::size_t>(first)],

@@ -16,10 +16,10 @@
  *   replays      free-running simulation, restarted from the filtered state every `window_s`:
  *                measured minus simulated, the error a user of the simulator sees.
  *
- * What pushes a robot at random - seams, chatter of rollers - lasts for some milliseconds, longer than
- * a row. A controller answers it in the rows that follow, so that the command goes along with the
- * disturbance; a filter that takes every row's push for a new one then sees commands work late and
- * feigns lags. The state of the filter therefore holds, after the states of the plant, the
+ * What pushes a robot at random - seams, chatter of rollers - lasts for some milliseconds, longer
+ * than a row. A controller answers it in the rows that follow, so that the command goes along with
+ * the disturbance; a filter that takes every row's push for a new one then sees commands work late
+ * and feigns lags. The state of the filter therefore holds, after the states of the plant, the
  * disturbance d_i of each pushed state's rate, of first order: d_(k+1) = exp(-rate T) d_k + noise.
  * Over a row it moves the state by push_k d_k, push_k = T / 2 (1 + transition_k) of those states.
  *
@@ -51,7 +51,8 @@ struct Recording {
 };
 
 /* Noise of the filter: variances per second added to each state, variances of the outputs, the
- * lasting variances of the disturbances and the rate at which they decay (none: zero), the variance of the rows' times [s^2]: a row taken d late shows every output d times its rate off,
+ * lasting variances of the disturbances (empty: none) and the rate at which they decay, the
+ * variance of the rows' times [s^2]: a row taken d late shows every output d times its rate off,
  * and what a row's mean command does not tell. A controller that is faster than the log moves the
  * command within a row. Going evenly from the one neighbour's command to the other's, with a change
  * c a row of length T, it leaves the speed at the end of the row where the mean takes it but the

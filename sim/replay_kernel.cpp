@@ -339,8 +339,8 @@ class KernelOf final : public Kernel {
         }
     }
 
-    void likelihoods(const Recording &recording, const Track &track, const Noise *noises,
-                     int count, double *log_likelihood, double *covariance) const override {
+    void likelihoods(const Recording &recording, const Track &track, const Noise *noises, int count,
+                     double *log_likelihood, double *covariance) const override {
         const auto of_each = [&](auto &&number) {
             return from_lanes<S>([&](int i) { return number(noises[i < count ? i : count - 1]); });
         };
@@ -463,7 +463,8 @@ class KernelOf final : public Kernel {
         for (int i = 0; i < kFilter; ++i) {
             double corrected = 0.0;
             for (int a = 0; a < m; ++a)
-                corrected += track.gain[(k * kFilter + i) * kOutputs + sampled[a]] * shown[sampled[a]];
+                corrected +=
+                    track.gain[(k * kFilter + i) * kOutputs + sampled[a]] * shown[sampled[a]];
             apart[i] -= S(corrected);
             for (int a = 0; a < m; ++a) {
                 apart[i] += g[a][i] * white[a];

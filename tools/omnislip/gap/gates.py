@@ -646,6 +646,6 @@ def too_poor(machine: Machine, limits: dict[str, dict[str, float]]) -> str | Non
     if not seen or np.mean(seen) >= LEAST_VISIBLE:
         return None
     return (
-        f"only {sum(seen)} of {len(seen)} effects would have been seen by these sensors and motions "
-        f"at a size worth looking for"
+        f"only {sum(seen)} of {len(seen)} effects would have been seen by these sensors and "
+        "motions at a size worth looking for"
     )
