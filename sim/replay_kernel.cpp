@@ -412,11 +412,12 @@ class KernelOf final : public Kernel {
                        const S *late, S (&p)[kFilter][kFilter], S *apart, S &total, int count,
                        double *covariance, long plane) {
         const double *shown = &track.innovation[k * kOutputs];
-        int sampled[kOutputs], m = 0;
+        int sampled[kOutputs], found = 0;
         for (int j = 0; j < kOutputs; ++j) {
             if (shown[j] == shown[j])
-                sampled[m++] = j;
+                sampled[found++] = j;
         }
+        const int m = std::min(found, kOutputs); /* what the compiler cannot see */
         S g[kOutputs][kFilter], white[kOutputs], root[kOutputs][kOutputs], per_root[kOutputs];
         alignas(64) double spread[kLanes];
         for (int a = 0; a < m; ++a) {
