@@ -5,13 +5,13 @@ import pytest
 from axis_bench import Bench, make_machine, make_runs, silent
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import tune_noise
-from omnislip.gap.recordings import Run, make_run
+from omnislip.gap.recordings import Run
 from omnislip.gap.search import search
-from omnislip.gap.truth import TruthCase, generate
+from omnislip.gap.truth import TruthCase
 from omnislip.gap.truth_effects import typical_effect
 from omnislip.gap.where import ROBOT_EQUATIONS, Map, describe, map_gap
-from omnislip.log_file import Log
 from omnislip.model_file import NOMINAL_ROBOT, read_model
+from truth_bench import runs_of
 
 ROWS, ROW_S = 1200, 0.005
 EQUATIONS = tuple(ROBOT_EQUATIONS)
@@ -114,18 +114,8 @@ def test_the_weak_motor_is_found_at_its_wheel():
     """Wheel 3 of a robot has lost torque: its torque equation is corrected most."""
     machine = Machine(read_model(NOMINAL_ROBOT))
     weak = typical_effect("weak_motor", 3).as_dict()
-    logs, _ = generate(TruthCase(5, (weak,), runs=2, run_duration_s=3.0, base_offset_sd=0.0))
-    runs = [
-        make_run(
-            machine,
-            Log(
-                f"run_{k}",
-                log["t_s"].to_numpy(),
-                {name: log[name].to_numpy(float) for name in log.columns[1:]},
-            ),
-        )
-        for k, log in enumerate(logs)
-    ]
+    case = TruthCase(5, (weak,), runs=2, run_duration_s=3.0, base_offset_sd=0.0)
+    runs = runs_of(machine, case)
     true = machine.believed.copy()
     true[list(machine.place("weak_motor", "scale", 3))] = weak["parameters"]["scale"]
     noise = tune_noise(machine, runs, true)

@@ -1,0 +1,227 @@
+"""The filter's noise: likelihoods along a path against filters of their own, and disturbances."""
+
+import numpy as np
+import pytest
+from axis_bench import Bench, make_machine, make_runs
+from omnislip.gap.machine import Machine
+from omnislip.gap.noise import NOISES, STEP_S, Noise, track_recordings, tune_noise
+from omnislip.gap.truth import TruthCase
+from omnislip.model_file import NOMINAL_ROBOT, read_model
+from truth_bench import runs_of
+
+NAMES = ("process", "output", "initial", "timing_s2", "unresolved", "unresolved_current")
+NAMES += ("coloured", "colour_rate_1_s")
+
+
+class Tracked:
+    """A machine with runs, its tuned noise, and the filter of that noise with its matrices."""
+
+    def __init__(self, machine, runs):
+        self.machine, self.runs = machine, runs
+        self.recordings = [run.recording for run in runs]
+        self.noise = tune_noise(machine, runs, machine.believed)
+        self.tracks = self.tracked(self.noise, keep_linear=True)
+
+    def tracked(self, noise, keep_linear=False):
+        return track_recordings(
+            self.machine, self.recordings, self.machine.believed, noise, STEP_S, keep_linear
+        )
+
+    def tracked_log_likelihood(self, noise):
+        return sum(track.log_likelihood for track in self.tracked(noise))
+
+    def moved(self, index, step):
+        """The noise with one of its logarithms moved."""
+        make, _ = NOISES[self.machine.kind]
+        return make(self.machine, self.noise.logs + step * np.eye(len(self.noise.logs))[index])
+
+    def arguments(self, noises):
+        """What `likelihoods` of the engine takes after recordings and tracks, by name."""
+        return {name: np.array([getattr(noise, name) for noise in noises]) for name in NAMES}
+
+    def likelihoods(self, noises):
+        return self.machine.engine.likelihoods(
+            self.recordings, self.tracks, **self.arguments(noises)
+        )
+
+
+@pytest.fixture(scope="module")
+def robot():
+    machine = Machine(read_model(NOMINAL_ROBOT))
+    return Tracked(machine, runs_of(machine, TruthCase(5, runs=2, run_duration_s=2.0)))
+
+
+@pytest.fixture(scope="module")
+def axis(tmp_path_factory):
+    machine = make_machine(tmp_path_factory.mktemp("axis"))
+    return Tracked(machine, make_runs(machine, Bench(), range(2)))
+
+
+@pytest.fixture(params=["robot", "axis"])
+def bench(request):
+    return request.getfixturevalue(request.param)
+
+
+# ---- likelihoods along a path ----
+
+
+def test_the_noise_of_the_path_has_the_likelihood_of_its_filter(bench):
+    totals, _ = bench.likelihoods([bench.noise])
+    assert totals[0] == pytest.approx(bench.tracked_log_likelihood(bench.noise), rel=1e-12)
+
+
+def test_covariances_are_those_that_the_filter_whitens(bench):
+    """W S W' = I over the sampled outputs, by other code than the one that computes S here."""
+    _, covariances = bench.likelihoods([bench.noise])
+    outputs = bench.machine.engine.outputs
+    for run, track, covariance in zip(bench.runs, bench.tracks, covariances, strict=True):
+        white = track.whitening.reshape(-1, outputs, outputs)
+        unit = ~np.isnan(run.outputs)[:, :, None] * np.eye(outputs)
+        np.testing.assert_allclose(
+            white @ covariance[0] @ white.transpose(0, 2, 1), unit, atol=1e-9
+        )
+
+
+def test_covariances_are_symmetric_positive_and_zero_where_nothing_is_sampled(bench):
+    """Each of many noises at once: more than one group of lanes."""
+    noises = [bench.moved(k % len(bench.noise.logs), 0.5) for k in range(11)]
+    _, covariances = bench.likelihoods(noises)
+    for run, covariance in zip(bench.runs, covariances, strict=True):
+        silent = np.isnan(run.outputs)
+        np.testing.assert_array_equal(covariance, covariance.transpose(0, 1, 3, 2))
+        assert not covariance[:, silent].any()
+        filled = covariance + silent[:, :, None] * np.eye(silent.shape[1])
+        np.linalg.cholesky(filled)  # raises for what is not positive definite
+
+
+def changes_by_a_hundredth(bench):
+    """What moving each logarithm by 0.01 does, along the path and with filters of their own."""
+    count = len(bench.noise.logs)
+    noises = [bench.noise, *(bench.moved(k, 0.01) for k in range(count))]
+    along, _ = bench.likelihoods(noises)
+    own = np.array([bench.tracked_log_likelihood(noise) for noise in noises])
+    return along[1:] - along[0], own[1:] - own[0]
+
+
+def test_other_noises_of_a_linear_machine_have_the_likelihood_of_their_filters(axis):
+    """Exact but for rounding of some 1e4, and of the secants that the filter is made of."""
+    along, own = changes_by_a_hundredth(axis)
+    np.testing.assert_allclose(along, own, atol=1e-6)
+    assert np.abs(own).min() > 1e-3
+
+
+def test_other_noises_of_a_robot_have_the_likelihood_of_their_filters_to_first_order(robot):
+    """What is left out is of second order: a step of a hundredth, a hundredth of the change."""
+    along, own = changes_by_a_hundredth(robot)
+    assert np.linalg.norm(along - own) < 0.01 * np.linalg.norm(own)
+
+
+def test_many_noises_are_as_one_by_one(robot):
+    noises = [robot.moved(k, 0.3) for k in range(9)]
+    together, covariances = robot.likelihoods(noises)
+    alone = [robot.likelihoods([noise]) for noise in noises]
+    np.testing.assert_array_equal(together, [totals[0] for totals, _ in alone])
+    for run, covariance in enumerate(covariances):
+        np.testing.assert_array_equal(covariance, [own[run][0] for _, own in alone])
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_noises_of_another_shape_are_refused(robot, name):
+    engine, right = robot.machine.engine, robot.arguments([robot.noise] * 2)
+    for wrong in (right[name][:1], np.repeat(right[name], 2, axis=-1)):
+        with pytest.raises(ValueError, match="wrong shape"):
+            engine.likelihoods(robot.recordings, robot.tracks, **right | {name: wrong})
+
+
+def test_tracks_without_matrices_or_of_other_recordings_are_refused(robot):
+    engine, right = robot.machine.engine, robot.arguments([robot.noise])
+    with pytest.raises(ValueError, match="did not keep its matrices"):
+        engine.likelihoods(robot.recordings, robot.tracked(robot.noise), **right)
+    with pytest.raises(ValueError, match="one track per recording"):
+        engine.likelihoods(robot.recordings, robot.tracks[:1], **right)
+
+
+# ---- disturbances that last ----
+
+PUSHED = [0, 1, 2, 3, 8, 9, 10]
+"""States of the plant whose rates are disturbed: shafts and body."""
+
+
+def test_disturbances_without_variance_change_nothing(robot):
+    """The gains of the plant's states are those of a filter without disturbances, bit for bit."""
+    engine, noise = robot.machine.engine, robot.noise
+    common = (noise.process, noise.output, noise.initial, noise.timing_s2, noise.unresolved)
+    with_none = engine.track(robot.recordings, robot.machine.believed, *common)
+    none = [0.0] * engine.pushes
+    with_zero = engine.track(
+        robot.recordings, robot.machine.believed, *common, coloured=none, colour_rate_1_s=400.0
+    )
+    for one, other in zip(with_none, with_zero, strict=True):
+        np.testing.assert_array_equal(one.gain, other.gain)
+        assert one.log_likelihood == other.log_likelihood
+        gain = other.gain.reshape(-1, engine.filter_states, engine.outputs)
+        assert gain[:, : engine.states].any()
+        assert not gain[:, engine.states :].any()
+
+
+def test_disturbances_push_the_rates_of_shafts_and_body(robot):
+    """Over a row of length T the trapezoid of the pushed state's own motion, then a decay."""
+    engine, run = robot.machine.engine, robot.runs[0]
+    n = engine.states
+    transition = robot.tracks[0].transition.reshape(len(run.t_s), engine.filter_states, -1)[:-1]
+    half = 0.5 * np.diff(run.t_s)[:, None, None]
+    expected = half * (transition[:, :n, :n] + np.eye(n))[:, :, PUSHED]
+    np.testing.assert_allclose(transition[:, :n, n:], expected, rtol=1e-12, atol=1e-18)
+    decay = np.exp(-np.diff(run.t_s) * robot.noise.colour_rate_1_s)
+    np.testing.assert_allclose(transition[:, n:, n:], decay[:, None, None] * np.eye(len(PUSHED)))
+    assert not transition[:, n:, :n].any()
+
+
+ROWS, ROW_S, RATE_1_S = 2000, 0.005, 100.0
+LASTING = np.array([1.0] * 4 + [1e-4, 1e-4, 1e-2])
+"""(rad/s2)^2 of the shafts, (m/s2)^2 and (rad/s2)^2 of the body: contacts stay linear."""
+
+
+def shaken_at_rest(machine, noise):
+    """A recording of a robot at rest that is pushed by exactly the noise of the filter."""
+    engine, rng = machine.engine, np.random.default_rng(1)
+    n, q = engine.states, engine.pushes
+    time_s, command = np.arange(ROWS) * ROW_S, np.zeros((ROWS, engine.motors))
+    still = engine.recording(time_s, command, np.zeros((ROWS, engine.outputs)), np.zeros(n))
+    [track] = track_recordings(machine, [still], machine.believed, noise, STEP_S, True)
+    transition = track.transition.reshape(ROWS, n + q, n + q)[0]
+    slope = track.slope.reshape(ROWS, engine.outputs, n + q)[0]
+    renewed = (1.0 - np.exp(-2.0 * noise.colour_rate_1_s * ROW_S)) * noise.coloured
+    pushes = np.sqrt(np.concatenate([noise.process * ROW_S, renewed]))
+    state = np.concatenate([np.zeros(n), np.sqrt(noise.coloured) * rng.standard_normal(q)])
+    output = np.sqrt(noise.output) * rng.standard_normal((ROWS, engine.outputs))
+    for row in range(ROWS):
+        output[row] += slope @ state
+        state = transition @ state + pushes * rng.standard_normal(n + q)
+    return engine.recording(time_s, command, output, np.zeros(n))
+
+
+def whitened(machine, recording, noise):
+    engine = machine.engine
+    [track] = track_recordings(machine, [recording], machine.believed, noise, STEP_S)
+    white = track.whitening.reshape(ROWS, engine.outputs, engine.outputs)
+    return np.einsum("kij,kj->ki", white, track.innovation.reshape(ROWS, engine.outputs))
+
+
+def test_disturbances_of_the_filter_are_what_they_are_said_to_be(robot):
+    """White with unit variance: 5 sd. A filter that takes each push for a new one is not."""
+    machine = robot.machine
+    output = np.array([1e-12] * 4 + [1e-8] + [1e-12] * 3)
+    certain, anew, renewed = np.zeros(14), np.zeros(14), np.zeros(14)
+    anew[PUSHED] = 0.1 * LASTING / RATE_1_S
+    lasting = Noise(anew, output, certain, 0.0, 0.0, np.zeros(0), 0.0, LASTING, RATE_1_S)
+    recording = shaken_at_rest(machine, lasting)
+    white = whitened(machine, recording, lasting)
+    bound = 5.0 / np.sqrt(white.size)
+    assert abs(np.mean(white**2) - 1.0) < np.sqrt(2.0) * bound
+    for lag in (1, 2, 5):
+        assert abs(np.mean(white[lag:] * white[:-lag])) < bound
+    renewed[PUSHED] = 2.1 * LASTING / RATE_1_S  # what moves a state as far in the long run
+    forgetful = Noise(renewed, output, certain, 0.0, 0.0, np.zeros(0))
+    coloured = whitened(machine, recording, forgetful)
+    assert np.mean(coloured[1:] * coloured[:-1]) > 5.0 * bound * np.mean(coloured**2)

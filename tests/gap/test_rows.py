@@ -1,0 +1,152 @@
+"""What rows hide: the columns, their projection, and that answers to disturbances feign no lag."""
+
+import numpy as np
+import pytest
+from omnislip.gap import inference
+from omnislip.gap.inference import Data, fit
+from omnislip.gap.machine import Machine
+from omnislip.gap.noise import CURRENT, STEP_S, track_recordings, tune_noise
+from omnislip.gap.rows import Projection, hidden_columns, whitened_response
+from omnislip.gap.search import believed_hypothesis, screen
+from omnislip.gap.truth import TruthCase
+from omnislip.gap.truth_effects import typical_effect
+from omnislip.model_file import NOMINAL_ROBOT, read_model
+from scipy.stats import chi2
+from truth_bench import runs_of
+
+MODEL = read_model(NOMINAL_ROBOT)
+LAGS = ("actuation_delay", "driver_lag", "armature_inductance")
+CHANCE = chi2.isf(0.01, 1)
+
+
+def data_of(electric=False, **case):
+    """Runs of a robot whose keys are exact, along the believed model's filter with tuned noise."""
+    machine = Machine(MODEL, electric)
+    sensors = ("gyro", "pose", "supply", "current") if electric else ("gyro", "pose")
+    runs = runs_of(machine, TruthCase(base_offset_sd=0.0, sensors=sensors, **case))
+    noise = tune_noise(machine, runs, machine.believed)
+    return Data(machine, runs, noise, machine.believed)
+
+
+# ---- the projection ----
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_a_projected_square_is_that_of_the_larger_covariance(count):
+    """|P r|^2 = r' (I + N N')^-1 r."""
+    rng = np.random.default_rng(count)
+    columns = rng.standard_normal((40, count)) * 10.0 ** np.arange(-1, count - 1)
+    residuals = rng.standard_normal((5, 40))
+    expected = [r @ np.linalg.solve(np.eye(40) + columns @ columns.T, r) for r in residuals]
+    projected = Projection(columns).apply(residuals)
+    np.testing.assert_allclose(np.sum(projected**2, axis=1), expected, rtol=1e-10)
+
+
+def test_without_columns_residuals_stay_as_they_are():
+    residuals = np.random.default_rng(1).standard_normal((2, 30))
+    np.testing.assert_array_equal(Projection(np.zeros((30, 0))).apply(residuals), residuals)
+
+
+# ---- the columns ----
+
+
+@pytest.fixture(scope="module")
+def electric():
+    return data_of(electric=True, seed=5, runs=2, run_duration_s=2.0)
+
+
+@pytest.mark.parametrize("output", [0, 4, 9])
+def test_what_a_sensor_shows_besides_is_answered_as_the_filter_does(electric, output):
+    """The same added to the measurements, through innovations with frozen gains."""
+    machine, run, size = electric.machine, electric.runs[0], 1e-6
+    engine = machine.engine
+    shown = np.zeros((*run.outputs.shape, 1))
+    shown[:, output, 0] = np.random.default_rng(2).standard_normal(len(run.t_s))
+    shown[np.isnan(run.outputs)] = 0.0
+    plain, changed = (
+        engine.recording(run.t_s, run.command, outputs, np.zeros(engine.states))
+        for outputs in (run.outputs, run.outputs + size * shown[:, :, 0])
+    )
+    tracks = track_recordings(machine, [plain], machine.believed, electric.noise, STEP_S, True)
+    before, after = (
+        engine.innovations([recording], tracks, machine.believed[None], step_s=STEP_S)[0][0]
+        for recording in (plain, changed)
+    )
+    expected = (after - before) / size
+    push = np.zeros((len(run.t_s), engine.filter_states, 1))
+    found = whitened_response(machine, run, tracks[0], push, shown)[:, :, 0]
+    np.testing.assert_allclose(found, expected, atol=1e-3 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("state", [0, 10, 14, 19], ids=["shaft", "yaw", "lasting 1", "lasting 6"])
+def test_a_push_of_the_model_is_as_outputs_that_it_would_have_moved_the_other_way(electric, state):
+    """The way without a filter: s_(k+1) = F (s_k + u dt / 2) + u dt / 2, outputs H s."""
+    machine, run, track = electric.machine, electric.runs[0], electric.tracks[0]
+    n, rows = machine.engine.filter_states, len(run.t_s)
+    push = np.zeros((rows, n, 1))
+    push[:, state, 0] = np.random.default_rng(3).standard_normal(rows)
+    moved = np.zeros((rows, n))
+    for k, step_s in enumerate(np.diff(run.t_s)):
+        half = 0.5 * step_s * push[k, :, 0]
+        moved[k + 1] = track.transition.reshape(rows, n, n)[k] @ (moved[k] + half) + half
+    shown = np.einsum("kji,ki->kj", track.slope.reshape(rows, -1, n), moved)[:, :, None]
+    shown[np.isnan(run.outputs)] = 0.0
+    as_moved = whitened_response(machine, run, track, np.zeros_like(push), -shown)
+    pushed = whitened_response(machine, run, track, push, np.zeros_like(shown))
+    assert np.abs(pushed).max() > 0
+    np.testing.assert_allclose(pushed, as_moved, atol=1e-9 * np.abs(pushed).max())
+
+
+def test_a_log_driven_in_open_loop_hides_nothing():
+    data = data_of(seed=5, runs=2, run_duration_s=2.0)
+    assert hidden_columns(data.machine, data.runs, data.tracks).shape[1] == 0
+
+
+def test_currents_at_the_begin_of_a_row_are_half_a_change_of_command_off(electric):
+    """One column, of the currents: what it is at first, before the filter has answered."""
+    columns = hidden_columns(electric.machine, electric.runs, electric.tracks)
+    assert columns.shape[1] == 1
+    run, track = electric.runs[0], electric.tracks[0]
+    rows, outputs = run.outputs.shape
+    change = np.diff(run.command, axis=0)
+    first = 1 + int(np.argmax(np.any(change != 0.0, axis=1)))
+    stall_a = 24.0 / MODEL.values["motor.resistance_ohm"]
+    shown = np.zeros(outputs)
+    shown[CURRENT] = -0.5 * stall_a * change[first - 1]
+    white = track.whitening.reshape(rows, outputs, outputs)[first]
+    found = columns[: rows * outputs].reshape(rows, outputs)
+    assert not found[:first].any()
+    np.testing.assert_allclose(found[first], white @ shown, rtol=1e-9, atol=1e-12)
+
+
+# ---- answers to disturbances ----
+
+
+def promises(data):
+    """Gain that each lag promises beside the fitted keys."""
+    base = fit(data, believed_hypothesis(data.machine), iterations=4)
+    lags = [c for c in data.machine.candidates() if c.effect in LAGS]
+    return {s.candidate.effect: s.promise for s in screen(data, base, lags)}
+
+
+def no_columns(machine, runs, tracks):
+    return np.zeros((sum(len(run.t_s) for run in runs) * machine.engine.outputs, 0))
+
+
+@pytest.mark.parametrize("seed", [3, 5])
+def test_an_answer_to_strong_disturbances_feigns_no_lag(seed, monkeypatch):
+    """At three times the usual noise, and only with the columns."""
+    data = data_of(seed=seed, runs=3, run_duration_s=3.0, closed_loop=True, noise_level=3.0)
+    assert max(promises(data).values()) < CHANCE
+    monkeypatch.setattr(inference, "hidden_columns", no_columns)
+    bare = Data(data.machine, data.runs, data.noise, data.machine.believed)
+    assert min(promises(bare).values()) > 5 * CHANCE
+
+
+@pytest.mark.parametrize("lag", LAGS)
+def test_a_true_lag_still_stands_out(lag):
+    """The columns must not swallow what they are to be told from."""
+    hidden = (typical_effect(lag, None).as_dict(),)
+    data = data_of(seed=5, effects=hidden, runs=2, run_duration_s=2.0, closed_loop=True)
+    assert hidden_columns(data.machine, data.runs, data.tracks).shape[1] > 0
+    assert promises(data)[lag] > 5 * CHANCE

@@ -1,0 +1,18 @@
+"""Logs of the independent generator in memory, for tests that need no folder."""
+
+from omnislip.gap.machine import Machine
+from omnislip.gap.recordings import Run, make_run
+from omnislip.gap.truth import TruthCase, generate
+from omnislip.log_file import Log
+
+
+def runs_of(machine: Machine, case: TruthCase) -> list[Run]:
+    """The logs of a case as runs of the believed robot."""
+    logs, _ = generate(case)
+    return [
+        make_run(
+            machine,
+            Log(name, log["t_s"].to_numpy(), {c: log[c].to_numpy(float) for c in log.columns[1:]}),
+        )
+        for name, log in zip(case.run_names(), logs, strict=True)
+    ]
