@@ -2,13 +2,8 @@
 
 A missing term is a force, moment or torque that depends on the state. Along the filtered states of
 the final model every term of a small dictionary (equation x wheel pattern x dependence) is a known
-function of time f(t); what it would do to the innovations is linear in its size: the error d of the
-prediction obeys
-
-    e_k = -H_k d_k + g_k,     d_(k+1) = Phi_k (d_k + K_k e_k) + f_k dt
-
-with the transition Phi, output slope H and gain K of the filter; a term g of a sensor is added to
-what it shows. Each term is tested like an
+function of time; what it would do to the innovations is linear in its size (`whitened_response` in
+rows.py derives it); a term of a sensor is added to what it shows. Each term is tested like an
 effect: gain T over what the fitted parameters leave, inflation by block sums, and the gain on
 validation runs. A term that passes says where something is missing and on what it depends, not
 what it is.

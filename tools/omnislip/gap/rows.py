@@ -2,7 +2,7 @@
 
 A log at 200 Hz holds the mean command of every row. A controller at 1 kHz moves it within the row,
 and partly in answer to what disturbs the wheels in that row. Two consequences are systematic, not
-noise, and would pass for lags, friction or inductance. Neither can be measured; each is a column by
+noise, and would pass for lags, friction or inductance. None can be measured; each is a column by
 which the innovations may be off, its size free within a normal prior:
 
     feedback   the controller takes speed away that a disturbance gave within the row. What is new
@@ -10,6 +10,9 @@ which the innovations may be off, its size free within a normal prior:
                with a disturbance that it answers: at most one that cancels it, so the prior's
                deviation is 1; one column if it ends with the row, one if it lasts. Only where the
                command follows the innovations: a log in closed loop.
+    rounding   such a controller reads rounded counts and answers the rounding too: what is new in a
+               row's command comes with an error of the encoder at the row's end. Deviation that of
+               a count, 1 / sqrt(12), where the command is one deviation off what was expected.
     begin      a current is measured at the row's begin, where a command that moves evenly is half
                way between the means of both rows, a command that is held at its own mean.
                Deviation 1 of this half way.

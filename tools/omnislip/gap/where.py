@@ -3,9 +3,10 @@
 The filter of the refitted model corrects its state at every row. A correction of a shaft speed is a
 torque that the model lacks, one of the body velocity a force, one of the yaw rate a moment; divided
 by what noise alone would make of it (its standard deviation in the filter) it says where and when
-the model fails. What the effects explain is the fall of these squared corrections from the refitted
-model to the one with the effects: its share per equation is the pattern, its concentration over a
-state is the condition, its windows are the times.
+the model fails. A robot's disturbances that last (sim/replay.h) are states of that filter; their
+corrections belong to the equation that they push. What the effects explain is the fall of these
+squared corrections from the refitted model to the one with the effects: its share per equation is
+the pattern, its concentration over a state is the condition, its windows are the times.
 """
 
 from collections.abc import Sequence
@@ -21,13 +22,14 @@ from omnislip.gap.recordings import ODOMETRY_CHANNELS, Run
 Array = npt.NDArray[np.float64]
 
 ROBOT_EQUATIONS = {
-    **{f"wheel/{wheel}/torque": (wheel - 1,) for wheel in range(1, 5)},
-    "body/force_x": (8,),
-    "body/force_y": (9,),
-    "body/moment": (10,),
+    **{f"wheel/{wheel}/torque": (wheel - 1, wheel + 13) for wheel in range(1, 5)},
+    "body/force_x": (8, 18),
+    "body/force_y": (9, 19),
+    "body/moment": (10, 20),
     "pose/position": (11, 12),
     "pose/heading": (13,),
 }
+"""States of the filter that tell of an equation: of the plant, from 14 on the disturbances."""
 AXIS_EQUATIONS = {"axis/force": (0,)}  # one sensor: force and position are corrected alike
 ODOMETRY_EQUATIONS = {"pose/position": (0, 1), "pose/heading": (2,)}
 EQUATIONS = {"robot": ROBOT_EQUATIONS, "axis": AXIS_EQUATIONS, "odometry": ODOMETRY_EQUATIONS}
