@@ -37,11 +37,16 @@ static Recording recording_of(double amplitude) {
     return r;
 }
 
-template <class Plant>
-static Track free_running(const Recording &r) {
+/* A filter that corrects nothing. */
+static Track free_running(const Kernel &kernel, const Recording &r) {
+    const auto each_row = [&r](int numbers) {
+        return std::vector<double>(static_cast<std::size_t>(r.rows * numbers), 0.0);
+    };
     Track t;
-    t.gain.assign(static_cast<std::size_t>(r.rows * Plant::kStates * Plant::kOutputs), 0.0);
-    t.whitening.assign(static_cast<std::size_t>(r.rows * Plant::kOutputs * Plant::kOutputs), 0.0);
+    t.gain = each_row((kernel.states() + kernel.pushes()) * kernel.outputs());
+    t.whitening = each_row(kernel.outputs() * kernel.outputs());
+    t.push = each_row(kernel.states() * kernel.pushes());
+    t.decay = each_row(1);
     return t;
 }
 
@@ -98,7 +103,7 @@ static double worst_difference(int kind, int lanes, const std::vector<Model<Plan
                                const Recording &r) {
     const std::unique_ptr<Kernel> kernel = make_kernel(kind, lanes);
     const std::vector<double> values = joined(models);
-    const Track track = free_running<Plant>(r);
+    const Track track = free_running(*kernel, r);
     const std::size_t plane = static_cast<std::size_t>(r.rows * Plant::kOutputs);
     std::vector<double> errors(models.size() * plane);
     replays(*kernel, {&r}, {&track},

@@ -33,11 +33,12 @@ STEP_S = 1e-4
 TICKS_PER_MS = 10
 FRICTION_CURVES = ("atan", "tanh", "brush")
 
-# Columns of the history that `simulate_run` returns, one row per 0.1 ms tick: 0 to 2 the pose,
-# 6 to 9 the shaft speeds, 18 to 21 the slip, and
+# Columns of the history that `simulate_run` returns, one row per 0.1 ms tick, after the pose.
 VELOCITY = slice(3, 6)
+SHAFT_SPEED = slice(6, 10)
 ENCODER_ANGLE = slice(10, 14)
 CURRENT = slice(14, 18)
+SLIP = slice(18, 22)
 SUPPLY = 22
 GYRO = 23
 HISTORY_COLUMNS = 24
