@@ -1,4 +1,4 @@
-"""A session with a virtual robot, its line, and a line that damages bytes."""
+"""A session with a virtual robot, and a line that damages bytes."""
 
 import random
 from collections import Counter
@@ -6,35 +6,10 @@ from collections import Counter
 from omnislip.link.protocol import FrameReader
 from omnislip.link.session import Session
 from omnislip.model_file import NOMINAL_ROBOT, read_model
-from omnislip.virtual_robot import make_robot
+from omnislip.virtual_robot import VirtualLine, make_robot
 
 MODEL = read_model(NOMINAL_ROBOT)
 NOTHING = b""
-
-
-class VirtualLine:
-    """A serial line to a virtual robot whose time passes only while it is listened to."""
-
-    def __init__(self, robot):
-        self.robot = robot
-        self._unsent = b""
-
-    def write(self, data):
-        """Put bytes on the line."""
-        self._unsent += data
-
-    def read(self, timeout_s):
-        """Let time pass until something has come, at most `timeout_s`, at least a tick."""
-        for _ in range(max(1, round(1000 * timeout_s))):
-            sent, self._unsent = self._unsent, b""
-            came = self.robot.advance(1, sent)
-            if came:
-                return came
-        return b""
-
-    def time_s(self):
-        """Return the robot's time."""
-        return self.robot.ticks / 1000
 
 
 def robot(store=None, on_board=False):

@@ -15,13 +15,13 @@ import json
 import threading
 from collections import Counter
 
-from link_bench import NoisyLine, VirtualLine, robot
+from link_bench import NoisyLine, robot
 from omnislip.errors import RobotError
 from omnislip.link import protocol
 from omnislip.link.port import SerialLine
 from omnislip.link.record import RECORD_STREAM, Recorder
 from omnislip.link.session import Session
-from omnislip.virtual_robot import pseudo_terminal, serve
+from omnislip.virtual_robot import VirtualLine, pseudo_terminal, serve
 
 PROBABILITY = 0.01
 COMMAND_PERIOD_S = 0.05

@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from link_bench import MODEL, VirtualLine, session
+from link_bench import MODEL, session
 from omnislip.errors import InputError, RobotError
 from omnislip.gap.find import find_gap, to_json
 from omnislip.link import protocol
@@ -12,7 +12,7 @@ from omnislip.link.record import Recorder
 from omnislip.log_file import write_log
 from omnislip.model_file import NOMINAL_ROBOT, read_model
 from omnislip.scenario import Scenario, read_scenario
-from omnislip.virtual_robot import make_robot
+from omnislip.virtual_robot import VirtualLine, make_robot
 
 IDENTIFICATION = NOMINAL_ROBOT.parents[1] / "scenarios" / "identification.toml"
 

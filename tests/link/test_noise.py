@@ -4,8 +4,8 @@ noise.py makes the experiment and, called by hand, ten minutes of it.
 """
 
 import pytest
-from link_bench import VirtualLine
 from noise import Witness, experiment, on_pseudo_terminal
+from omnislip.virtual_robot import VirtualLine
 
 
 @pytest.fixture(scope="module")

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from link_bench import NoisyLine, VirtualLine, robot, session
+from link_bench import NoisyLine, robot, session
 from omnislip.errors import InputError, RobotError
 from omnislip.link.record import SIGNALS, Recorder, make_log, period_of
 from omnislip.log_file import read_log, write_log
+from omnislip.virtual_robot import VirtualLine
 
 PERIOD_MS = 5
 

@@ -3,10 +3,11 @@
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from link_bench import NoisyLine, VirtualLine, robot, session
+from link_bench import NoisyLine, robot, session
 from omnislip.errors import RobotError
 from omnislip.link import protocol
 from omnislip.link.session import NoAnswer, Refused, Session
+from omnislip.virtual_robot import VirtualLine
 
 
 class Wrapped:

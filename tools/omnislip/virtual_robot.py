@@ -1,6 +1,7 @@
 """The virtual robot: firmware, plant, serial line and EEPROM (``sim/virtual_robot.h``) on a PC.
 
-`serve` runs it in real time behind a pseudo-terminal.
+`serve` runs it in real time behind a pseudo-terminal, `VirtualLine` as fast as the machine allows
+behind the interface of a serial line.
 """
 
 import os
@@ -43,6 +44,31 @@ def make_robot(
         )
     except ValueError as error:
         raise InputError(f"{model.path}: {error}") from None
+
+
+class VirtualLine:
+    """A serial line to a virtual robot whose time passes only while it is listened to."""
+
+    def __init__(self, robot: _core.VirtualRobot) -> None:
+        self.robot = robot
+        self._unsent = b""
+
+    def write(self, data: bytes) -> None:
+        """Put bytes on the line."""
+        self._unsent += data
+
+    def read(self, timeout_s: float) -> bytes:
+        """Let time pass until something has come, at most `timeout_s`, at least a tick."""
+        for _ in range(max(1, round(1000 * timeout_s))):
+            sent, self._unsent = self._unsent, b""
+            came = self.robot.advance(1, sent)
+            if came:
+                return came
+        return b""
+
+    def time_s(self) -> float:
+        """Return the robot's time."""
+        return self.robot.ticks / 1000
 
 
 # ---- EEPROM ----

@@ -1,6 +1,6 @@
 """The serial port as a line: bytes out, bytes in, and the clock that goes with them.
 
-A line is anything with these three methods.
+A line is anything with these three methods; `omnislip.virtual_robot.VirtualLine` is another one.
 """
 
 import os
