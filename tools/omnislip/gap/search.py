@@ -396,10 +396,15 @@ def _simplest_first(
     best = results[0]
     for rival in results[1:]:
         spared = len(best[0].parameters) - len(rival[0].parameters)
-        lost = (best[2].gain - rival[2].gain) / best[2].inflation
-        if spared > 0 and lost < chi2.isf(1e-3, spared):
+        lost = best[2].gain - rival[2].gain
+        if spared > 0 and _no_more_than_chance(lost, best[2].inflation, spared):
             best = rival
     return [best, *(r for r in results if r is not best)]
+
+
+def _no_more_than_chance(gain: float, inflation: float, parameters: int) -> bool:
+    """Whether so many parameters that explain nothing gain as much one time in a thousand."""
+    return gain / inflation < chi2.isf(1e-3, parameters)
 
 
 def _validation_gains(checks: Data, without: Hypothesis, with_effect: Hypothesis) -> Array:
@@ -498,7 +503,7 @@ def _drop_needless(data: Data, fitted: Fit, tried: int) -> Fit:
 def _swap(
     data: Data, fitted: Fit, neighbours: dict[str, list[Candidate]], progress: Progress
 ) -> Fit:
-    """Put another effect in the place of one where that explains clearly more.
+    """Put another effect in the place of one where that explains clearly more, or as much simpler.
 
     The first effect was chosen while the others were still missing.
     """
@@ -510,9 +515,10 @@ def _swap(
         rivals = _rivals_of(fitted, effect, neighbours)
         nearest = screen(data, without, rivals)[:RIVALS] if rivals else []
         tried = _refit(data, without, nearest)
-        best = min(tried, key=lambda one: one.objective, default=fitted)
-        own = len(without.hypothesis.effects)
-        if fitted.objective - best.objective > RIVAL_MARGIN * _inflation(data, without, best, own):
+        judged = weigh(data, without.objective, fitted, index)
+        better = [one for one in tried if _takes_its_place(data, without, effect, judged, one)]
+        if better:
+            best = min(better, key=lambda one: one.objective)
             neighbours[best.hypothesis.effects[-1].name] = [
                 effect,
                 *neighbours.get(effect.name, []),
@@ -523,10 +529,16 @@ def _swap(
     return fitted
 
 
-def _inflation(data: Data, without: Fit, with_effect: Fit, index: int) -> float:
-    if index >= len(with_effect.hypothesis.effects):
-        return 1.0
-    return weigh(data, without.objective, with_effect, index).inflation
+def _takes_its_place(
+    data: Data, without: Fit, effect: Candidate, judged: Evidence, rival: Fit
+) -> bool:
+    """Whether a rival explains clearly more than an effect, or loses only what chance gives."""
+    own = len(without.hypothesis.effects)
+    evidence = weigh(data, without.objective, rival, own)
+    spared = len(effect.parameters) - len(rival.hypothesis.effects[own].parameters)
+    if spared > 0 and _no_more_than_chance(judged.gain - evidence.gain, judged.inflation, spared):
+        return True
+    return evidence.gain - judged.gain > RIVAL_MARGIN * evidence.inflation
 
 
 def _rivals_of(
