@@ -12,7 +12,9 @@ so an impact has to stand out from the run's own level and to explain most of th
 
 The linear jump is right for a tap. A hard push makes wheels slide, so the size is fitted again with
 the plant itself: free-running from the state before the push, for the horizon, over a grid of times
-between the two rows. Then the log is cut: what follows sees the pieces before and after.
+between the two rows. Against the plant's own replay without a push it has to gain and to explain as
+much: where wheels break loose the linear response feigns pushes that the plant does without. Then
+the log is cut: what follows sees the pieces before and after.
 """
 
 from collections.abc import Sequence
@@ -67,6 +69,9 @@ class Impact:
     deviation: Array
     misfit: float = 0.0
     """Mean square error after the push, in its standard deviations."""
+    gain: float = np.inf
+    """By how much the push lowers the squared errors of the plant's own replay, and the share."""
+    explained: float = 1.0
 
     def jump_m_s(self, machine: Machine) -> float:
         """Return the jump of a wheel's hub, at most."""
@@ -98,23 +103,29 @@ def find_impacts(
                 impact = _size_up(machine, run, row, values, noise, before, jump[row])
                 least = max(LEAST_JUMP_M_S, _feigned_m_s(machine, run, row))
                 plausible = least <= impact.jump_m_s(machine) <= MOST_JUMP_M_S
-                if plausible and impact.misfit <= MOST_MISFIT:
+                confirmed = impact.gain >= LEAST_RATIO and impact.explained >= EXPLAINED
+                if plausible and confirmed and impact.misfit <= MOST_MISFIT:
                     impacts.append(impact)
     return impacts
 
 
 def _feigned_m_s(machine: Machine, run: Run, row: int) -> float:
-    """Return the jump of the body that a jump of the command beside the row may feign, or 0.
+    """Return the jump of the body that jumps of the command before and beside the row may feign.
 
-    When within the row the wheels break loose or grip again the log does not tell: for up to a row
-    on either side the body is pulled with mu g, or is not.
+    When within a row wheels break loose or grip again the log does not tell: for up to a row on
+    either side of a jump the body is pulled with mu g, or is not. What earlier jumps of the horizon
+    left shows no later than where the wheels grip. Jumps after the row may answer the push.
     """
-    beside = slice(max(row - 2, 0), row + 3)
-    if np.abs(np.diff(run.command[beside], axis=0)).max(initial=0.0) < COMMAND_JUMP:
-        return 0.0
     values = machine.model.values
     grip_m_s2 = values["contact.mu_drive"] * values["contact.gravity_m_s2"]
-    return float(2.0 * grip_m_s2 * np.diff(run.t_s[beside]).max(initial=0.0))
+    rows_s = np.diff(run.t_s, append=run.t_s[-1])
+    jumps = np.abs(np.diff(run.command, axis=0, prepend=run.command[:1])).max(axis=1) > COMMAND_JUMP
+    beside = slice(max(row - 1, 0), row + 3)
+    before = slice(int(np.searchsorted(run.t_s, run.t_s[row] - HORIZON_S)), beside.start)
+    unsure_s = float(np.sum(rows_s[before][jumps[before]]))
+    if jumps[beside].any():
+        unsure_s += float(rows_s[beside].max())
+    return float(2.0 * grip_m_s2 * unsure_s)
 
 
 def as_effect(impact: Impact) -> Effect:
@@ -148,11 +159,13 @@ def _size_up(
     jump: Array,
 ) -> Impact:
     """Fit the jump with the plant, for the likeliest time between the two rows."""
-    fits = [
-        _fit_jump(_After(machine, run, row, values, noise, before, share), jump)
+    afters = [
+        _After(machine, run, row, values, noise, before, share)
         for share in (0.1, 0.3, 0.5, 0.7, 0.9)
     ]
-    cost, time_s, jump, covariance = min(fits, key=lambda found: found[0])
+    fits = [_fit_jump(after, jump) for after in afters]
+    quiet = min(float(np.sum(after.errors(np.zeros(3)) ** 2)) for after in afters)
+    cost, time_s, jump, covariance, readings = min(fits, key=lambda found: found[0])
     mass = values[0] + values[machine.place("payload", "mass_kg", None)[0]]
     inertia = values[1] + values[machine.place("inertia_error", "inertia_kg_m2", None)[0]]
     cos, sin = np.cos(before[13]), np.sin(before[13])
@@ -160,7 +173,8 @@ def _size_up(
     to_world = np.diag([mass, mass, inertia]) @ turn
     spread = covariance * max(1.0, cost)
     deviation = np.sqrt(np.diag(to_world @ spread @ to_world.T))
-    return Impact(run.name, time_s, to_world @ jump, deviation, cost)
+    gain = quiet - cost * readings
+    return Impact(run.name, time_s, to_world @ jump, deviation, cost, gain, gain / quiet)
 
 
 class _After:
@@ -211,11 +225,12 @@ class _After:
         return 1.0 / np.sqrt(variance.reshape(self._outputs.shape))
 
 
-def _fit_jump(after: _After, jump: Array) -> tuple[float, float, Array, Array]:
-    """Gauss-Newton; returns mean square error, time, jump, covariance."""
+def _fit_jump(after: _After, jump: Array) -> tuple[float, float, Array, Array, int]:
+    """Gauss-Newton; returns mean square error, time, jump, covariance, number of readings."""
     found = least_squares(after.errors, jump, x_scale=PROBE, diff_step=1e-3, max_nfev=15)
-    mean_square = 2.0 * found.cost / max(np.count_nonzero(found.fun), 1)
-    return mean_square, after.time_s, found.x, np.linalg.pinv(found.jac.T @ found.jac)
+    readings = max(np.count_nonzero(found.fun), 1)
+    covariance = np.linalg.pinv(found.jac.T @ found.jac)
+    return 2.0 * found.cost / readings, after.time_s, found.x, covariance, readings
 
 
 class _Pushes:

@@ -37,6 +37,8 @@ BATCH = 64
 STEPS = (1.0, 0.5, 0.2, 0.05)
 FEW_STEPS = (1.0, 0.3)
 SECANT = 0.05
+DIVERGED = 1e3
+"""Whitened residual of a model with which the frozen predictor is not stable."""
 CONVERGED = 0.05
 WORTH_A_ROUND = 2.0
 """Gain of Q below which a quick fit ends."""
@@ -139,8 +141,9 @@ class Data:
                 own = array[:, int(np.argmax(kept)) :].reshape(len(batch), -1)
                 residuals[first : first + len(batch), edges[run] : edges[run + 1]] = own
         residuals /= self.scale
-        if not np.isfinite(residuals.sum()):
-            residuals = np.nan_to_num(residuals, copy=False, nan=1e3, posinf=1e3, neginf=-1e3)
+        if not max(residuals.max(), -residuals.min()) < DIVERGED:  # not so with NaN either
+            np.nan_to_num(residuals, copy=False, nan=DIVERGED)
+            np.clip(residuals, -DIVERGED, DIVERGED, out=residuals)
         return self.hidden.apply(residuals)
 
     def _kept_only(self, columns: Array) -> Array:

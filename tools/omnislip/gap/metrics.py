@@ -134,7 +134,8 @@ def _least_floor(run: Run, repeated: Array, estimated: Array) -> Array:
     to every model.
     """
     electric = np.array([channel.endswith("current_a") for channel in run.channels])
-    return np.where(electric, np.fmax(repeated, estimated), repeated)
+    floor = np.where(electric, np.fmax(repeated, estimated), repeated)
+    return np.where(np.isnan(floor), estimated, floor)
 
 
 def left_over(replays: Sequence[Replays], seen: Sequence[int], floor: Array) -> Left:

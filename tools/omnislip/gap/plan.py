@@ -327,7 +327,8 @@ def separating_manoeuvre(
 ) -> Separation | None:
     """Return the manoeuvre that tells effect `index` of the final model from its rivals.
 
-    Uses what the logs of `data` say of the rivals. None if there is nothing to drive or no gain.
+    Uses what the logs of `data` say of the rivals. None if there is nothing to drive or no gain, or
+    if the firmware cannot drive this robot: its numbers do not fit the firmware's formats.
     """
     if machine.kind != "robot":
         return None
@@ -341,7 +342,11 @@ def separating_manoeuvre(
     without = final.without(index)
     fitted = [fit_rival(data, without, _named(machine, name)) for name in rivals]
     found = []
-    for manoeuvre, reach in rehearsal.manoeuvres(truth):
+    try:
+        manoeuvres = rehearsal.manoeuvres(truth)
+    except InputError:
+        return None
+    for manoeuvre, reach in manoeuvres:
         new = Expected(machine, rehearsal.run(truth, manoeuvre), data.noise, final)
         leads = [_lead_with_logs(new, rival) for rival in fitted]
         found.append(Separation(manoeuvre, min(leads), reach))
