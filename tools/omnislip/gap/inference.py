@@ -12,8 +12,10 @@ derivatives are secants of the batched replay, so one iteration costs two batche
 The gain of a candidate is T = Q(without) - Q(with), both refitted. If r were white T would be
 chi-squared; a model that is a little wrong leaves r correlated, which inflates T. The inflation is
 measured, not assumed: c = variance of the block sums of the candidate's score over its white value,
-blocks of half a second, and T / max(1, c) is compared with the chi-squared of its parameter count.
-(Score test with cluster-robust variance: White, Econometrica 1982; Liang and Zeger 1986.)
+blocks of half a second, and T / max(1, c) / parameters is compared with Fisher's F. Its second
+number is that of the blocks that make c, times c / (c - 1): a gain and a variance out of the same
+few seconds prove little, but c = 1 needs no estimate. (Score test with cluster-robust variance: White, Econometrica 1982; Liang and Zeger
+1986; few clusters: Bell and McCaffrey, Survey Methodology 2002.)
 """
 
 from collections.abc import Sequence
@@ -22,7 +24,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import lsq_linear
-from scipy.stats import chi2
+from scipy.stats import f as f_distribution
 
 from omnislip import _core
 from omnislip.gap.machine import Candidate, Machine, Parameter
@@ -337,7 +339,7 @@ def _solve_within(gram: Array, slope: Array, low: Array, high: Array) -> Array:
 class Evidence:
     """How strongly the data speak for the last effect of a fitted model.
 
-    `gain` is T, `inflation` c, `p_value` of T / max(1, c) for one candidate; `covariance` of the
+    `gain` is T, `inflation` c, `p_value` that of the F-test for one candidate; `covariance` of the
     effect's parameters in their units, inflated by the same factor.
     """
 
@@ -353,11 +355,12 @@ def weigh(data: Data, without: float, with_effect: Fit, index: int) -> Evidence:
     first = len(hypothesis.base) + sum(len(e.parameters) for e in hypothesis.effects[:index])
     own = list(range(first, first + len(hypothesis.effects[index].parameters)))
     score, information = _projected(with_effect, own)
-    inflation = inflation_of(data, score, with_effect.residual, information)
+    inflation, blocks = scatter_of(data, score, with_effect.residual, information)
     gain = without - with_effect.objective
     scale = np.array([hypothesis.parameters[i].scale for i in own])
     covariance = np.linalg.pinv(information) * np.outer(scale, scale) * inflation
-    p_value = float(chi2.sf(max(gain, 0.0) / inflation, len(own)))
+    known_from = blocks * inflation / max(inflation - 1.0, 1e-6)
+    p_value = float(f_distribution.sf(max(gain, 0.0) / inflation / len(own), len(own), known_from))
     return Evidence(gain, inflation, p_value, covariance)
 
 
@@ -411,6 +414,16 @@ def at_bound(fitted: Fit, index: int) -> bool:
 
 def inflation_of(data: Data, score: Array, residual: Array, information: Array) -> float:
     """Return c: how much the block sums of a score vary beyond what white residuals would."""
+    return scatter_of(data, score, residual, information)[0]
+
+
+def scatter_of(
+    data: Data, score: Array, residual: Array, information: Array
+) -> tuple[float, float]:
+    """Return c of `inflation_of` and from how many blocks it is known.
+
+    That number is (sum q)^2 / sum q^2 of the blocks' squares q: one if a single block makes c.
+    """
     blocks = data.blocks
     sums = np.stack(
         [np.bincount(blocks, score[:, k] * residual) for k in range(score.shape[1])], axis=1
@@ -419,6 +432,9 @@ def inflation_of(data: Data, score: Array, residual: Array, information: Array) 
     sizes, axes = np.linalg.eigh(information)
     seen = sizes > 1e-9 * max(sizes[-1], 1e-300)
     if not seen.any():
-        return 1.0
+        return 1.0, float(len(sums))
     root = axes[:, seen] / np.sqrt(sizes[seen])
-    return max(1.0, float(np.max(np.linalg.eigvalsh(root.T @ spread @ root))))
+    squares = np.sum((sums @ root) ** 2, axis=1)
+    blocks = np.sum(squares) ** 2 / max(float(np.sum(squares**2)), 1e-300)
+    inflation = float(np.max(np.linalg.eigvalsh(root.T @ spread @ root)))
+    return max(1.0, inflation), max(1.0, float(blocks))

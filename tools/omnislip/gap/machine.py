@@ -355,7 +355,7 @@ def _shape_scale(parameter: dict) -> float:
 
 
 # Parameters that refine an effect once it is named, where it alone does not fit.
-EXTENSIONS = {("contact_shape", "brush"), ("contact_shape", "roller")}
+EXTENSIONS = {("contact_shape", "brush"), ("contact_shape", "root"), ("contact_shape", "roller")}
 
 # Starting values of shaping parameters; where the fit is not convex one start is not enough.
 SHAPE_GRIDS = {

@@ -147,6 +147,18 @@ def left_over(replays: Sequence[Replays], seen: Sequence[int], floor: Array) -> 
     return Left(float(np.mean(excess)), error)
 
 
+def improvement(replays: Sequence[Replays]) -> float:
+    """Return by how many noise floors the second model's square error is below the first's.
+
+    Mean over channels and windows of one second.
+    """
+    windows = [
+        _window_moments(r) / np.maximum(_mean_floor(r), np.finfo(float).tiny) for r in replays
+    ]
+    fall = np.concatenate([w[:, 0] - w[:, 1] for w in windows])
+    return float(np.nanmean(fall)) if np.any(~np.isnan(fall)) else 0.0
+
+
 def channel_rmse(replays: Sequence[Replays]) -> dict[str, Array]:
     """Return RMSE (models,) of every sampled channel over all runs."""
     moments = np.stack([_moments(r) for r in replays])

@@ -5,7 +5,7 @@ candidates fully, and takes the best one if all of these hold:
 
     chance       p-value of its gain, times the number of things tried, below `ALPHA`
     validation   on runs that were not fitted the gain is positive in sum, and in 3 of 4 runs or
-                 beyond its scatter from run to run
+                 beyond its scatter from run to run; free replays of them come nearer, too
     size         at least `LEAST_SHARE` of all that effects have gained so far
 
 The base keys are refitted with every candidate, because they absorb much of most effects. After a
@@ -35,6 +35,7 @@ from omnislip.gap.inference import (
 )
 from omnislip.gap.leftover import Leftover, find_leftover
 from omnislip.gap.machine import PHASE, Candidate, Machine
+from omnislip.gap.metrics import improvement, replay_all
 from omnislip.gap.noise import Noise, tune_noise
 from omnislip.gap.recordings import Run
 
@@ -373,6 +374,11 @@ def _try(
         reason, passed = _verdict(evidence, gains, tried, gained)
         if passed and not _differs(candidate, values - absent, evidence):
             reason, passed = "its size cannot be told from none beside the other parameters", False
+        if passed and not _replays_better(checks, current.hypothesis, fitted.hypothesis):
+            reason, passed = (
+                "helps the predictor but not replays of runs that were not fitted",
+                False,
+            )
         if passed and _within_row(data, candidate, values):
             reason, passed = "shorter than the log can time: a tenth of a row", False
         taken = next((trial for trial, _ in found if trial.accepted), None)
@@ -417,6 +423,15 @@ def _validation_gains(checks: Data, without: Hypothesis, with_effect: Hypothesis
     residuals = np.clip(checks.residuals(flats), -MOST_ERROR, MOST_ERROR)
     before, after = (checks.per_run(r) for r in residuals)
     return np.array([np.sum(b**2) - np.sum(a**2) for b, a in zip(before, after, strict=True)])
+
+
+def _replays_better(checks: Data, without: Hypothesis, with_effect: Hypothesis) -> bool:
+    """Whether free replays of the validation runs come nearer to the logs.
+
+    What helps the predictor only, row by row, describes chance and not the robot.
+    """
+    sets = [one.flat(checks.believed) for one in (without, with_effect)]
+    return improvement(replay_all(checks.machine, checks.runs, checks.noise, sets)) > 0
 
 
 def _verdict(evidence: Evidence, gains: Array, tried: int, gained: float) -> tuple[str, bool]:
