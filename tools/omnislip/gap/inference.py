@@ -14,8 +14,9 @@ chi-squared; a model that is a little wrong leaves r correlated, which inflates 
 measured, not assumed: c = variance of the block sums of the candidate's score over its white value,
 blocks of half a second, and T / max(1, c) / parameters is compared with Fisher's F. Its second
 number is that of the blocks that make c, times c / (c - 1): a gain and a variance out of the same
-few seconds prove little, but c = 1 needs no estimate. (Score test with cluster-robust variance: White, Econometrica 1982; Liang and Zeger
-1986; few clusters: Bell and McCaffrey, Survey Methodology 2002.)
+few seconds prove little, but c = 1 needs no estimate. (Score test with cluster-robust variance:
+White, Econometrica 1982; Liang and Zeger 1986; few clusters: Bell and McCaffrey, Survey Methodology
+2002.)
 """
 
 from collections.abc import Sequence
