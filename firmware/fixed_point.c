@@ -48,9 +48,9 @@ i32 fixed_subtract_i32(i32 a, i32 b) {
 }
 
 i32 fixed_shift_right(i32 value, u16 shift) {
-    /* The last bit shifted out decides; value + half could overflow, twice - once cannot. */
-    const i32 twice = value >> (shift - 1);
-    return twice - (twice >> 1);
+    /* The last bit shifted out decides; value + half could overflow. The difference of both shifts
+     * is the same number and quicker, but its range is beyond the proof. */
+    return (value >> shift) + ((value >> (shift - 1)) & 1);
 }
 
 i32 fixed_shift_left(i32 value, u16 shift) {
