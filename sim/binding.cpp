@@ -36,11 +36,12 @@ using Array1 = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::
 using Array2 = nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 
 /* Hands a buffer over to numpy. */
-nb::object to_numpy(std::vector<double> &&data, std::initializer_list<std::size_t> shape) {
+nb::object to_numpy(std::vector<double> &&data, const std::vector<std::size_t> &shape) {
     auto *owned = new std::vector<double>(std::move(data));
     nb::capsule owner(owned,
                       [](void *p) noexcept { delete static_cast<std::vector<double> *>(p); });
-    return nb::cast(nb::ndarray<nb::numpy, double>(owned->data(), shape, owner));
+    return nb::cast(
+        nb::ndarray<nb::numpy, double>(owned->data(), shape.size(), shape.data(), owner));
 }
 
 nb::object copy_to_numpy(const std::vector<double> &data) {
@@ -306,23 +307,12 @@ class Engine {
                          row(coloured),        colour_rate_1_s.data()[i]};
         }
         std::vector<double> log_likelihood(sets, 0.0);
-        std::vector<std::vector<double>> covariance;
-        std::vector<double *> pointers;
-        for (const Recording *r : recordings) {
-            covariance.emplace_back(sets * static_cast<std::size_t>(r->rows) * outputs * outputs,
-                                    0.0);
-            pointers.push_back(covariance.back().data());
-        }
-        {
-            nb::gil_scoped_release release;
-            likelihoods(*kernel_, recordings, tracks, noises, log_likelihood.data(), pointers);
-        }
-        nb::list arrays;
-        for (std::size_t i = 0; i < covariance.size(); ++i) {
-            const std::size_t rows = static_cast<std::size_t>(recordings[i]->rows);
-            arrays.append(to_numpy(std::move(covariance[i]), {sets, rows, outputs, outputs}));
-        }
-        return nb::make_tuple(to_numpy(std::move(log_likelihood), {sets}), arrays);
+        const nb::list covariances =
+            filled(recordings, sets, {outputs, outputs}, [&](const auto &covariance) {
+                likelihoods(*kernel_, recordings, tracks, noises, log_likelihood.data(),
+                            covariance);
+            });
+        return nb::make_tuple(to_numpy(std::move(log_likelihood), {sets}), covariances);
     }
 
     nb::object derivatives_of(const Array1 &values, const Array2 &states,
@@ -370,23 +360,34 @@ class Engine {
             require_rate(kernel_->fastest_rate_1_s(values.data() + first * values.shape(1),
                                                    static_cast<int>(count)));
         }
+        const ParameterSets all{values.data(), static_cast<int>(sets),
+                                static_cast<int>(values.shape(1))};
+        return filled(recordings, sets, {outputs}, [&](const auto &out) { work(all, out); });
+    }
+
+    /* One array [sets][rows][of_row...] per recording, filled by `work` on buffers of zeros. */
+    template <class Work>
+    static nb::list filled(const std::vector<const Recording *> &recordings, std::size_t sets,
+                           const std::vector<std::size_t> &of_row, Work &&work) {
+        std::vector<std::vector<std::size_t>> shapes;
         std::vector<std::vector<double>> results;
         std::vector<double *> pointers;
         for (const Recording *r : recordings) {
-            results.emplace_back(sets * static_cast<std::size_t>(r->rows) * outputs);
+            shapes.push_back({sets, static_cast<std::size_t>(r->rows)});
+            shapes.back().insert(shapes.back().end(), of_row.begin(), of_row.end());
+            std::size_t size = 1;
+            for (const std::size_t length : shapes.back())
+                size *= length;
+            results.emplace_back(size, 0.0);
             pointers.push_back(results.back().data());
         }
         {
             nb::gil_scoped_release release;
-            work(ParameterSets{values.data(), static_cast<int>(sets),
-                               static_cast<int>(values.shape(1))},
-                 pointers);
+            work(pointers);
         }
         nb::list arrays;
-        for (std::size_t i = 0; i < results.size(); ++i) {
-            const std::size_t rows = static_cast<std::size_t>(recordings[i]->rows);
-            arrays.append(to_numpy(std::move(results[i]), {sets, rows, outputs}));
-        }
+        for (std::size_t i = 0; i < results.size(); ++i)
+            arrays.append(to_numpy(std::move(results[i]), shapes[i]));
         return arrays;
     }
 
