@@ -1,5 +1,5 @@
-/* motion_hal.h - the motion part of hal/hal.h from a plant in C++, for a control loop without a
- * board. */
+/* motion_hal.h - plants in C++ behind hal/hal.h: attached, and the motion part of one for a control
+ * loop without a board. */
 #ifndef OMNISLIP_SIM_MOTION_HAL_H
 #define OMNISLIP_SIM_MOTION_HAL_H
 
@@ -9,11 +9,27 @@
 
 namespace omnislip {
 
-/* Attached to this thread as long as it lives. Plant: counts, set_duty, supply_mv, currents_ma. */
+/* A plant that is attached to this thread as long as this lives. */
+class AttachedHal {
+  public:
+    explicit AttachedHal(const hal_host_plant &plant) {
+        hal_host_attach(&plant);
+    }
+    ~AttachedHal() {
+        hal_host_attach(nullptr);
+    }
+    AttachedHal(const AttachedHal &) = delete;
+    AttachedHal &operator=(const AttachedHal &) = delete;
+};
+
+/* Plant: counts, set_duty, supply_mv, currents_ma. */
 template <class Plant>
 class MotionHal {
   public:
-    explicit MotionHal(Plant &plant) {
+    explicit MotionHal(Plant &plant) : attached_(calls_of(plant)) {}
+
+  private:
+    static hal_host_plant calls_of(Plant &plant) {
         hal_host_plant hal = {};
         hal.context = &plant;
         hal.read_encoder_counts = [](void *context, std::uint16_t counts[4]) {
@@ -28,13 +44,10 @@ class MotionHal {
         hal.read_currents_ma = [](void *context, std::int16_t current_ma[4]) {
             static_cast<Plant *>(context)->currents_ma(current_ma);
         };
-        hal_host_attach(&hal);
+        return hal;
     }
-    ~MotionHal() {
-        hal_host_attach(nullptr);
-    }
-    MotionHal(const MotionHal &) = delete;
-    MotionHal &operator=(const MotionHal &) = delete;
+
+    AttachedHal attached_;
 };
 
 }  // namespace omnislip

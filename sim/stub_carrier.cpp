@@ -9,6 +9,7 @@
 #include "hal/hal.h"
 #include "hal/host/hal_host.h"
 #include "hal/host/hal_host_store.h"
+#include "motion_hal.h"
 #include "robot_carrier.h"
 
 namespace omnislip {
@@ -39,10 +40,8 @@ class StubCarrier : public RobotCarrier {
     }
 
     void with_hal(const std::function<void()> &work) override {
-        const hal_host_plant plant = hal();
-        hal_host_attach(&plant);
+        const AttachedHal attached(hal());
         work();
-        hal_host_attach(nullptr);
     }
 
     void start_tick() override {
