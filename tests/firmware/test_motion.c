@@ -203,12 +203,15 @@ static void check_spread(int x_n_q6, int y_n_q6, int torque_q8) {
     TEST_ASSERT_INT_WITHIN(2, torque_q8, given.torque_n_m_q8);
 }
 
-static void spread_is_the_best_there_is(void) {
-    uint64_t seed = 41;
+static void check_spreads(uint64_t seed) {
     for (int n = 0; n < REFERENCE_CASES(5000); n++) {
         check_spread(reference_random_i16(&seed, 4000), reference_random_i16(&seed, 4000),
                      reference_random_i16(&seed, 3000));
     }
+}
+
+static void spread_is_the_best_there_is(void) {
+    check_spreads(41);
 }
 
 /* A robot with its wheels at these angles, J+ and the null vector. */
@@ -232,12 +235,8 @@ static void spread_is_the_best_for_uneven_wheels_too(void) {
                                          {0.372077, -0.223994, -0.411181, 0.263099},
                                          {1.072745, 1.363658, 1.444648, 1.118949}};
     static const double null[4] = {1.186806, -0.810282, 0.777152, -1.153677};
-    uint64_t seed = 43;
     set_wheels(angles_deg, forward, null);
-    for (int n = 0; n < REFERENCE_CASES(5000); n++) {
-        check_spread(reference_random_i16(&seed, 4000), reference_random_i16(&seed, 4000),
-                     reference_random_i16(&seed, 3000));
-    }
+    check_spreads(43);
 }
 
 /* Three directions, one of them with two wheels: only these can share a load. */
@@ -247,12 +246,8 @@ static void spread_leaves_wheels_alone_that_have_no_partner(void) {
                                          {0.166667, 0.166667, -0.666667, 0.333333},
                                          {0.833283, 0.833283, 1.666565, 1.666565}};
     static const double null[4] = {1.414214, -1.414214, 0.0, 0.0};
-    uint64_t seed = 53;
     set_wheels(angles_deg, forward, null);
-    for (int n = 0; n < REFERENCE_CASES(5000); n++) {
-        check_spread(reference_random_i16(&seed, 4000), reference_random_i16(&seed, 4000),
-                     reference_random_i16(&seed, 3000));
-    }
+    check_spreads(53);
 }
 
 static void x_y_and_rotation_at_once_spare_the_worst_wheel_a_third(void) {

@@ -301,7 +301,10 @@ def test_logs_that_show_hardly_anything_are_too_poor():
         for c in MACHINE.candidates()
     }
     near = {n: {k: v / 100 for k, v in own.items()} for n, own in far.items()}
-    assert "only 0 of" in too_poor(MACHINE, far)
+    assert too_poor(MACHINE, far) == (
+        f"only 0 of {len(far)} effects would have been seen by these sensors and motions "
+        "at a size worth looking for"
+    )
     assert too_poor(MACHINE, near) is None
 
 
