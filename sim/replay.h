@@ -8,7 +8,7 @@
  *                variance that the noise alone gives to a replay: its noise floor.
  *   likelihoods  the filter with other noises, linear along the path of a track that kept its
  *                matrices: exact in the variances, to first order in how they move the path. Serves
- *                to fit the noise, at a fiftieth of the cost of a track.
+ *                to fit the noise, at a tenth of the cost of a track.
  *   innovations  the filter for many parameter sets with K_k and W_k frozen: prediction errors
  *                whitened by W_k. Frozen gains make the residual a smooth function of the
  *                parameters and lose no information: for any gain the innovations are an

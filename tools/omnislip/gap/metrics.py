@@ -27,7 +27,6 @@ from omnislip.model_file import read_model
 Array = npt.NDArray[np.float64]
 
 WINDOW_S = 1.0
-SETTLE_S = _core.SETTLE_S
 BOOTSTRAPS = 2000
 PREDICTED, REPEATED = "the predictor's noise", "repeated manoeuvres"
 """Where a noise floor comes from."""
@@ -95,7 +94,7 @@ def replay_all(
         last_track = columns[-1][index][1]
         floor = last_track.replay_variance.reshape(run.outputs.shape) * run.scale**2
         # The first restart is at the first row past the settling time; its error is the old one's.
-        counted = run.t_s >= run.t_s[0] + SETTLE_S
+        counted = run.t_s >= run.t_s[0] + _core.SETTLE_S
         counted[np.argmax(counted)] = False
         replays.append(Replays(run, errors, floor, counted))
     return replays
@@ -111,7 +110,7 @@ def gap_table(replays: Sequence[Replays], others: Sequence[Replays] = ()) -> Gap
     moments = np.stack([_moments(r) for r in replays])[:, :, seen]
     repeated = _floor_from_repetitions([*replays, *others])
     estimated = _mean(np.stack([_mean_floor(r) for r in replays]), axis=0)
-    floor = estimated if repeated is None else _least_floor(run, repeated, estimated)
+    floor = estimated if repeated is None else _repeated_floor(run, repeated, estimated)
     floor = floor[seen]
     source = PREDICTED if repeated is None else REPEATED
     rmse = np.sqrt(_mean(moments, axis=0))
@@ -127,7 +126,7 @@ def gap_table(replays: Sequence[Replays], others: Sequence[Replays] = ()) -> Gap
     )
 
 
-def _least_floor(run: Run, repeated: Array, estimated: Array) -> Array:
+def _repeated_floor(run: Run, repeated: Array, estimated: Array) -> Array:
     """Floor of repeated manoeuvres; of currents it holds what their rows hide as well.
 
     A current is one moment's, the command a row's mean: that difference repeats too, and is chance
@@ -218,7 +217,7 @@ def _mean(values: Array, axis: int) -> Array:
 def _window_moments(replays: Replays) -> Array:
     """Mean square error of each one-second window (windows, models, channels)."""
     t_s = replays.run.t_s
-    number = ((t_s - t_s[0] - SETTLE_S) / WINDOW_S).astype(int)
+    number = ((t_s - t_s[0] - _core.SETTLE_S) / WINDOW_S).astype(int)
     number[~replays.counted] = -1
     windows = []
     for window in range(number.max() + 1):

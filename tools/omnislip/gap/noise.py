@@ -57,7 +57,7 @@ class Noise:
     """Logarithms of the fitted variances."""
     unresolved_current: float = 0.0
     coloured: Array = field(default_factory=lambda: np.zeros(0))
-    colour_rate_1_s: float = 100.0
+    colour_rate_1_s: float = COLOUR_RATE_1_S
 
 
 def track_all(

@@ -1,9 +1,9 @@
 """What the rows of a log hide: how the command moved within them, and with what.
 
 A log at 200 Hz holds the mean command of every row. A controller at 1 kHz moves it within the row,
-and partly in answer to what disturbs the wheels in that row. Two consequences are systematic, not
-noise, and would pass for lags, friction or inductance. None can be measured; each is a column by
-which the innovations may be off, its size free within a normal prior:
+and partly in answer to what disturbs the wheels in that row. Three consequences are systematic,
+not noise, and would pass for lags, friction or inductance. None can be measured; each is a column
+by which the innovations may be off, its size free within a normal prior:
 
     feedback   the controller takes speed away that a disturbance gave within the row. What is new
                in a row's command (less its prediction from the rows before, outliers clipped) comes
@@ -39,17 +39,22 @@ FOLLOWS = 0.01
 PAST = 6
 """Rows from which a command is predicted."""
 CLIP = 3.0
+# Columns: a disturbance that ends with the row, one that lasts, begin and rounding.
+SPEED, LASTING, BEGIN, ROUNDING = range(4)
 
 
 def hidden_columns(machine: Machine, runs: Sequence[Run], tracks: Sequence[_core.Track]) -> Array:
     """Return whitened columns (all rows * outputs, columns) of `tracks` that kept their matrices.
 
-    No column for machines other than robots.
+    No column for machines other than robots, and for logs in open loop without currents.
     """
     outputs = machine.engine.outputs
+    none = np.zeros((sum(len(run.t_s) for run in runs) * outputs, 0))
     if machine.kind != "robot":
-        return np.zeros((sum(len(run.t_s) for run in runs) * outputs, 0))
+        return none
     news, follows = _news(machine, runs, tracks)
+    if not (follows or machine.electric):
+        return none
     found = []
     for run, track, new in zip(runs, tracks, news, strict=True):
         rows = len(run.t_s)
@@ -57,15 +62,15 @@ def hidden_columns(machine: Machine, runs: Sequence[Run], tracks: Sequence[_core
         shown = np.zeros((rows, outputs, 4))
         if follows:
             answered_rad_s2 = stall_acceleration_rad_s2(machine) * new
-            push[:, :4, 0] = answered_rad_s2
+            push[:, :4, SPEED] = answered_rad_s2
             lasting = slice(machine.engine.states, machine.engine.states + 4)
-            push[:-1, lasting, 1] = answered_rad_s2[:-1] / np.diff(run.t_s)[:, None]
-            shown[1:, :4, 3] = (
+            push[:-1, lasting, LASTING] = answered_rad_s2[:-1] / np.diff(run.t_s)[:, None]
+            shown[1:, :4, ROUNDING] = (
                 new[:-1] / max(_spread(new), 1e-12) * count_rad(machine) / np.sqrt(12.0)
             )
         if machine.electric:
             change = np.diff(run.command, axis=0, prepend=run.command[:1])
-            shown[:, CURRENT, 2] = -0.5 * stall_current_a(machine) * change
+            shown[:, CURRENT, BEGIN] = -0.5 * stall_current_a(machine) * change
         shown[np.isnan(run.outputs)] = 0.0
         found.append(whitened_response(machine, run, track, push, shown).reshape(-1, 4))
     columns = np.concatenate(found)
