@@ -4,6 +4,7 @@
 #define QUARTER_TURN 16384
 #define HALF_TURN 32768L
 #define ONE_Q15 32768L
+#define HALF_RANGE ((i32)1 << 30)
 
 i16 fixed_saturate_i16(i32 value) {
     if (value > I16_MAX)
@@ -35,22 +36,29 @@ i16 fixed_subtract_i16(i16 a, i16 b) {
     return fixed_saturate_i16((i32)a - b);
 }
 
+/* Nearly all sums are of numbers that cannot overflow; the first test lets them pass without
+ * waiting for the others. */
 i32 fixed_add_i32(i32 a, i32 b) {
+    if (a >= -HALF_RANGE && a < HALF_RANGE && b >= -HALF_RANGE && b < HALF_RANGE)
+        return a + b;
     if (b >= 0)
         return a > (i32)I32_MAX - b ? (i32)I32_MAX : a + b;
     return a < (i32)I32_MIN - b ? (i32)I32_MIN : a + b;
 }
 
 i32 fixed_subtract_i32(i32 a, i32 b) {
+    if (a >= -HALF_RANGE && a < HALF_RANGE && b >= -HALF_RANGE && b < HALF_RANGE)
+        return a - b;
     if (b >= 0)
         return a < (i32)I32_MIN + b ? (i32)I32_MIN : a - b;
     return a > (i32)I32_MAX + b ? (i32)I32_MAX : a - b;
 }
 
 i32 fixed_shift_right(i32 value, u16 shift) {
-    /* The last bit shifted out decides; value + half could overflow. The difference of both shifts
-     * is the same number and quicker, but its range is beyond the proof. */
-    return (value >> shift) + ((value >> (shift - 1)) & 1);
+    const i32 half = (i32)1 << (shift - 1);
+    if (value > (i32)I32_MAX - half) /* the sum would overflow; all such values round alike */
+        return (i32)1 << (31 - shift);
+    return (value + half) >> shift;
 }
 
 i32 fixed_shift_left(i32 value, u16 shift) {
