@@ -106,10 +106,12 @@ void allocate(ClosedLoopLog &log, std::size_t ticks) {
         one->resize(ticks);
 }
 
-/* Row `tick` of a table with `count` columns. */
-template <class T>
-void put_row(std::vector<T> &table, std::size_t tick, const T *row, std::size_t count) {
-    std::copy_n(row, count, table.data() + tick * count);
+/* Row `tick` of a table with `kColumns` columns: known when compiled, it takes no call. */
+template <int kColumns, class T>
+void put_row(std::vector<T> &table, std::size_t tick, const T *row) {
+    T *place = table.data() + tick * kColumns;
+    for (int i = 0; i < kColumns; ++i)
+        place[i] = row[i];
 }
 
 void record_robot(ClosedLoopLog &log, std::size_t tick, const RobotBody &robot) {
@@ -118,13 +120,13 @@ void record_robot(ClosedLoopLog &log, std::size_t tick, const RobotBody &robot) 
     log.time_s[tick] = static_cast<double>(tick) * kTick_s;
     log.supply_v[tick] = in.bus_v;
     log.gyro_rad_s[tick] = robot.sensed()[4];
-    put_row(log.pose, tick, x + RobotLayout::kPose, 3);
-    put_row(log.velocity, tick, x + RobotLayout::kVelocity, 3);
-    put_row(log.wheel_speed_rad_s, tick, x + RobotLayout::kSpeed, 4);
-    put_row(log.current_a, tick, in.current_a, 4);
-    put_row(log.slip_m_s, tick, in.slip_m_s, 4);
-    put_row(log.drive_force_n, tick, in.drive_force_n, 4);
-    put_row(log.camera_pose, tick, robot.sensed() + 5, 3);
+    put_row<3>(log.pose, tick, x + RobotLayout::kPose);
+    put_row<3>(log.velocity, tick, x + RobotLayout::kVelocity);
+    put_row<4>(log.wheel_speed_rad_s, tick, x + RobotLayout::kSpeed);
+    put_row<4>(log.current_a, tick, in.current_a);
+    put_row<4>(log.slip_m_s, tick, in.slip_m_s);
+    put_row<4>(log.drive_force_n, tick, in.drive_force_n);
+    put_row<3>(log.camera_pose, tick, robot.sensed() + 5);
 }
 
 void record_firmware(ClosedLoopLog &log, std::size_t tick,
@@ -134,8 +136,8 @@ void record_firmware(ClosedLoopLog &log, std::size_t tick,
                                 telemetry.pose.theta_mrad_q13 * mm_q13};
     for (std::size_t i = 0; i < 4; ++i)
         log.duty[4 * tick + i] = telemetry.duty_q15[i] / 32768.0;
-    put_row(log.encoder_counts, tick, telemetry.encoder_counts, 4);
-    put_row(log.odometry, tick, believed, 3);
+    put_row<4>(log.encoder_counts, tick, telemetry.encoder_counts);
+    put_row<3>(log.odometry, tick, believed);
     log.limited[tick] = static_cast<std::int32_t>(telemetry.limit);
     log.limit_wheel[tick] = telemetry.limit_wheel;
     log.fault[tick] = static_cast<std::int32_t>(telemetry.fault);
