@@ -8,6 +8,7 @@
 #include "effects.h"
 
 namespace omnislip {
+inline namespace OMNISLIP_INSTRUCTION_SET {
 
 template <class S, int kMotors, Kind kKind>
 class ActiveEffects {
@@ -61,6 +62,7 @@ class ActiveEffects {
     unsigned hooks_ = 0;
 };
 
+}  // namespace OMNISLIP_INSTRUCTION_SET
 }  // namespace omnislip
 
 #endif

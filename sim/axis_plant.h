@@ -19,6 +19,7 @@
 #include "robot_plant.h"
 
 namespace omnislip {
+inline namespace OMNISLIP_INSTRUCTION_SET {
 
 constexpr BaseParameter kAxisBase[] = {
     {"axis.inertia", "kg or kg m^2", 1.0},
@@ -201,6 +202,7 @@ class AxisPlant {
     ActiveEffects<S, kMotors, kAxis> active_;
 };
 
+}  // namespace OMNISLIP_INSTRUCTION_SET
 }  // namespace omnislip
 
 #endif

@@ -73,6 +73,8 @@ struct EffectInfo {
     ParameterInfo parameters[kMaxEffectParameters];
 };
 
+inline namespace OMNISLIP_INSTRUCTION_SET {
+
 /* Parameter values of one effect: `value(k, i)` is parameter k on motor i. */
 template <class S>
 struct Values {
@@ -1491,6 +1493,7 @@ void mark_active(const double *values, int count, int size, bool *active) {
     });
 }
 
+}  // namespace OMNISLIP_INSTRUCTION_SET
 }  // namespace omnislip
 
 #endif

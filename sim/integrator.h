@@ -18,6 +18,7 @@
 #include "memory.h"
 
 namespace omnislip {
+inline namespace OMNISLIP_INSTRUCTION_SET {
 
 /* 700 steps per millisecond: some ten times slower than real time. */
 constexpr double kFastestRate_1_s = 1e6;
@@ -114,26 +115,35 @@ inline void take_step(const Plant &plant, S *x, const Step &step, double time_s,
     Rule::template finish<n, room>(k, plant, x, step, time_s, h, in);
 }
 
+/* What a step begins with, of a plant without memory or delay: it is the same for any length. */
+template <class Plant, class S>
+struct Begin {
+    typename Plant::Step step;
+    S derivative[Plant::kAll];
+};
+
 /* Advances x [Plant::kAll] from time_s by duration_s; `commands(begin_s, end_s, command)` gives
- * the mean command over a step. `first`: the derivative at x, from a caller who has it of a plant
- * without memory or delay; used up. */
+ * the mean command over a step. `begun`: the begin of the first step, from a caller who has it; its
+ * derivative is used up. */
 template <class Rule = Rk4, class Plant, class S, class Commands, class Internals>
 inline void advance(const Plant &plant, S *x, const Commands &commands, double time_s,
                     double duration_s, double step_s, double fastest_rate_1_s, Internals &in,
-                    S *first = nullptr) {
+                    Begin<Plant, S> *begun = nullptr) {
     const int steps = step_count(duration_s, step_s, fastest_rate_1_s);
     const double h = duration_s / steps;
     S command[Plant::kMotors];
     typename Plant::Step step;
     for (int i = 0; i < steps; ++i) {
         const double begin_s = time_s + i * h;
+        if (i == 0 && begun != nullptr) {
+            Rule::template finish<Plant::kStates, Plant::kAll>(begun->derivative, plant, x,
+                                                               begun->step, begin_s, h, in);
+            continue;
+        }
         commands(begin_s, begin_s + h, command);
         plant.begin_step(x, command, h, step);
         if (plant.remembers()) {
             take_step<Rule, Plant::kAll>(plant, x, step, begin_s, h, in);
-        } else if (i == 0 && first != nullptr) {
-            Rule::template finish<Plant::kStates, Plant::kAll>(first, plant, x, step, begin_s, h,
-                                                               in);
         } else {
             take_step<Rule, Plant::kStates, Plant::kAll>(plant, x, step, begin_s, h, in);
         }
@@ -176,6 +186,7 @@ inline void settle(const Plant &plant, S *x, const S *command, double time_s, In
         x[i] = dx[i] * S(kForever_s);
 }
 
+}  // namespace OMNISLIP_INSTRUCTION_SET
 }  // namespace omnislip
 
 #endif

@@ -11,7 +11,16 @@
 #include <type_traits>
 #include <xsimd/xsimd.hpp>
 
+/* What is compiled once per instruction set stands in a namespace of its own for each, so that no
+ * function compiled for a wide one can be linked into code for a narrow one. */
+#ifdef OMNISLIP_ARCH
+#define OMNISLIP_INSTRUCTION_SET OMNISLIP_ARCH
+#else
+#define OMNISLIP_INSTRUCTION_SET of_every_processor
+#endif
+
 namespace omnislip {
+inline namespace OMNISLIP_INSTRUCTION_SET {
 
 constexpr double kPi = 3.14159265358979323846;
 
@@ -100,8 +109,8 @@ class NearbyAngle {
     S angle_, sine_, cosine_;
 };
 
-/* Values of the wheels that are computed at once: pairs of doubles, which every processor has
- * (wider ones lose more between memory and register than they gain), or one wheel of lanes. */
+/* Values of the wheels that are computed at once: all four doubles where the registers are as wide,
+ * else pairs, which every processor has; or one wheel of lanes. */
 template <class S>
 struct LotOf {
     using Type = S;
@@ -109,12 +118,14 @@ struct LotOf {
 };
 template <>
 struct LotOf<double> {
-#if defined(__x86_64__)
+#if defined(__AVX2__)
+    using Type = xsimd::batch<double, xsimd::avx2>;
+#elif defined(__x86_64__)
     using Type = xsimd::batch<double, xsimd::sse2>;
 #else
     using Type = xsimd::batch<double, xsimd::neon64>;
 #endif
-    static constexpr int kWheels = 2;
+    static constexpr int kWheels = static_cast<int>(Type::size);
 };
 
 /* Reads and writes the wheels from `values` on. */
@@ -145,6 +156,7 @@ S sign_of(const S &x) {
     return select(x < S(0.0), S(-1.0), select(x > S(0.0), S(1.0), S(0.0)));
 }
 
+}  // namespace OMNISLIP_INSTRUCTION_SET
 }  // namespace omnislip
 
 #endif

@@ -28,6 +28,7 @@
 #include "effects.h"
 
 namespace omnislip {
+inline namespace OMNISLIP_INSTRUCTION_SET {
 
 constexpr double kCoolingTime_s = 60.0; /* of a winding into its housing */
 constexpr double kWheelShare = 0.2;     /* wheel, shaft and last gear, of the drive's inertia */
@@ -211,6 +212,7 @@ class LoggedCommands {
     long row_;
 };
 
+}  // namespace OMNISLIP_INSTRUCTION_SET
 }  // namespace omnislip
 
 #endif

@@ -24,6 +24,7 @@
 #include "robot_plant.h"
 
 namespace omnislip {
+inline namespace OMNISLIP_INSTRUCTION_SET {
 
 constexpr int kMostWheels = 8;
 
@@ -224,6 +225,7 @@ class ShownCommands {
     long row_, rows_;
 };
 
+}  // namespace OMNISLIP_INSTRUCTION_SET
 }  // namespace omnislip
 
 #endif

@@ -10,28 +10,6 @@
 
 namespace omnislip {
 
-#if defined(__x86_64__)
-Kernel *make_kernel_sse2(int kind, const UserTermList &terms);
-Kernel *make_kernel_avx2(int kind, const UserTermList &terms);
-Kernel *make_kernel_avx512f(int kind, const UserTermList &terms);
-
-std::unique_ptr<Kernel> make_kernel(int kind, int widest_lanes, const UserTermList &terms) {
-    if (widest_lanes >= 8 && __builtin_cpu_supports("avx512f")) {
-        return std::unique_ptr<Kernel>(make_kernel_avx512f(kind, terms));
-    }
-    if (widest_lanes >= 4 && __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")) {
-        return std::unique_ptr<Kernel>(make_kernel_avx2(kind, terms));
-    }
-    return std::unique_ptr<Kernel>(make_kernel_sse2(kind, terms));
-}
-#else
-Kernel *make_kernel_neon64(int kind, const UserTermList &terms);
-
-std::unique_ptr<Kernel> make_kernel(int kind, int, const UserTermList &terms) {
-    return std::unique_ptr<Kernel>(make_kernel_neon64(kind, terms));
-}
-#endif
-
 double change_into(const Recording &recording, int motors, int k, int motor) {
     const std::size_t place = static_cast<std::size_t>(k) * static_cast<std::size_t>(motors) +
                               static_cast<std::size_t>(motor);

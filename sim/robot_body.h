@@ -10,11 +10,12 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
+#include <memory>
 #include <vector>
 
 #include "closed_loop.h"
-#include "integrator.h"
-#include "robot_plant.h"
+#include "memory.h"
+#include "robot_motion.h"
 
 namespace omnislip {
 
@@ -22,18 +23,17 @@ class RobotBody {
   public:
     RobotBody(const std::vector<double> &values, const UserTermList &terms,
               const std::vector<Impulse> &impulses, double step_s, const BoardSensors &sensors)
-        : values_(values), pending_(impulses), sensors_(sensors), step_s_(step_s) {
-        bool active[kEffectCount];
-        mark_active<RobotPlant<double>>(values_.data(), 1, static_cast<int>(values_.size()),
-                                        active);
-        plant_.prepare(values_.data(), active, terms);
-        if (plant_.remembers() || plant_.delays())
+        : values_(values),
+          pending_(impulses),
+          sensors_(sensors),
+          step_s_(step_s),
+          motion_(make_robot_motion(values_.data(), static_cast<int>(values_.size()), terms)),
+          lags_(motion_->remembers() || motion_->delays()) {
+        if (lags_)
             step_s_ = std::min(step_s_, kLagStep_s);
-        rate_1_s_ = plant_.fastest_rate_1_s();
-        require_rate(rate_1_s_);
         rad_per_count_ = 2.0 * kPi / values_[RobotLayout::kBase - 1];
         hold_duty(-kTick_s);
-        settle(plant_, x_, duty_, 0.0, in_);
+        motion_->settle(x_, duty_.data(), in_);
         refresh(0.0);
         measure_supply(0);
     }
@@ -72,11 +72,11 @@ class RobotBody {
 
     void set_duty(const std::int16_t *duty_q15) {
         for (int i = 0; i < 4; ++i)
-            duty_[i] = duty_q15[i] / 32768.0;
+            duty_[static_cast<std::size_t>(i)] = duty_q15[i] / 32768.0;
     }
 
     void set_duty(const double *duty) {
-        std::copy_n(duty, 4, duty_);
+        std::copy_n(duty, 4, duty_.begin());
     }
 
     /* The duty holds from now on; those before are kept because a late driver still acts on them,
@@ -84,12 +84,12 @@ class RobotBody {
     void hold_duty(double time_s) {
         if (times_s_.size() == static_cast<std::size_t>(kDutiesKept)) {
             times_s_.erase(times_s_.begin(), times_s_.end() - kDutiesKept / 2);
-            duties_.erase(duties_.begin(), duties_.end() - 4 * kDutiesKept / 2);
+            duties_.erase(duties_.begin(), duties_.end() - kDutiesKept / 2);
         }
         times_s_.push_back(time_s);
-        duties_.insert(duties_.end(), duty_, duty_ + 4);
+        duties_.push_back(duty_);
         looked_ = false;
-        if (times_s_.size() > 2 && jumps<RobotPlant<double>>(&duties_[duties_.size() - 4]))
+        if (times_s_.size() > 2 && jumps<RobotLayout>(duties_.back().data()))
             jump_s_ = time_s;
     }
 
@@ -115,7 +115,8 @@ class RobotBody {
                 return;
             std::copy_n(before, RobotLayout::kAll, x_);
             integrate(time_s + done_s, instant_s - done_s);
-            push(pending_[next]);
+            const Impulse &impulse = pending_[next];
+            motion_->push(x_, impulse.x_n_s, impulse.y_n_s, impulse.theta_n_m_s);
             pending_.erase(pending_.begin() + static_cast<long>(next));
             done_s = instant_s;
         }
@@ -124,11 +125,9 @@ class RobotBody {
 
     /* Currents, slip and forces at the present state and duty. */
     void refresh(double time_s) {
-        double command[4];
-        commands()(time_s, time_s, command);
-        look(plant_, x_, command, time_s, dx_, in_);
-        looked_ = !plant_.remembers() && !plant_.delays();
-        plant_.output(x_, time_s, sensed_);
+        motion_->look(x_, duties(), time_s, in_);
+        looked_ = !lags_;
+        motion_->output(x_, time_s, sensed_);
     }
 
     const double *state() const {
@@ -154,29 +153,13 @@ class RobotBody {
      * late falls into steps that are not fine. */
     static constexpr double kLagStep_s = 5e-4;
 
-    void push(const Impulse &impulse) {
-        const auto &c = plant_.constants();
-        const double theta = x_[RobotLayout::kPose + 2];
-        const double cos_theta = std::cos(theta), sin_theta = std::sin(theta);
-        const double jx = cos_theta * impulse.x_n_s + sin_theta * impulse.y_n_s;
-        const double jy = cos_theta * impulse.y_n_s - sin_theta * impulse.x_n_s;
-        const double turn = impulse.theta_n_m_s / c.inertia_kg_m2;
-        double *v = x_ + RobotLayout::kVelocity;
-        v[0] += jx / c.mass_kg + turn * c.cog_y_m;
-        v[1] += jy / c.mass_kg - turn * c.cog_x_m;
-        v[2] += turn;
-    }
-
     void integrate(double time_s, double duration_s) {
         /* LoggedCommands::step_s without looking back, so that a replay takes the same steps */
         const bool jumped = jump_s_ > times_s_.back() - kJumpSettles_s;
         const double step_s = jumped ? std::min(step_s_, kJumpStep_s) : step_s_;
-        double *first = looked_ ? dx_ : nullptr;
-        if (plant_.remembers()) /* as in a replay: teeth that meet are of no order */
-            advance<Rk4>(plant_, x_, commands(), time_s, duration_s, step_s, rate_1_s_, in_, first);
-        else
-            advance<Merson>(plant_, x_, commands(), time_s, duration_s, step_s, rate_1_s_, in_,
-                            first);
+        /* With a memory as in a replay: teeth that meet are of no order. */
+        const Rule rule = motion_->remembers() ? Rule::kRk4 : Rule::kMerson;
+        motion_->advance(x_, duties(), time_s, duration_s, step_s, rule, looked_, in_);
         looked_ = false;
     }
 
@@ -195,25 +178,26 @@ class RobotBody {
         return done_s + share * (duration_s - done_s);
     }
 
-    LoggedCommands<RobotPlant<double>> commands() const {
-        return {plant_, times_s_.data(), duties_.data(), static_cast<long>(times_s_.size()) - 1};
+    DutyHistory duties() const {
+        return {times_s_.data(), duties_.front().data(), static_cast<long>(times_s_.size()) - 1};
     }
 
-    std::vector<double> values_, times_s_, duties_;
+    std::vector<double> values_, times_s_;
+    std::vector<std::array<double, 4>> duties_;
     std::vector<Impulse> pending_;
     const BoardSensors &sensors_;
     double supply_error_v_ = 0.0;
     std::uint16_t supply_mv_ = 0;
     double step_s_;
-    RobotPlant<double> plant_;
+    std::unique_ptr<RobotMotion> motion_;
+    bool lags_; /* a duty acts late or for long */
     double x_[RobotLayout::kAll] = {};
-    double dx_[RobotLayout::kAll] = {};
-    bool looked_ = false; /* dx_ is the derivative with which the next step begins */
+    bool looked_ = false; /* at the instant and the duty with which the next step begins */
     double jump_s_ = 0.0; /* time of the last jump of the duty; the begin is one */
-    double duty_[4] = {};
+    std::array<double, 4> duty_ = {};
     double sensed_[RobotLayout::kOutputs] = {};
     RobotInternals<double> in_ = {};
-    double rate_1_s_ = 0.0, rad_per_count_ = 0.0;
+    double rad_per_count_ = 0.0;
 };
 
 }  // namespace omnislip

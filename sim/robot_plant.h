@@ -92,6 +92,8 @@ struct RobotInternals {
     S external_force_x_n, external_force_y_n, external_torque_nm;
 };
 
+inline namespace OMNISLIP_INSTRUCTION_SET {
+
 /* What stays during one step: the duty on average over it, the heading from which the robot turns
  * little; of the memory how lags relax. */
 template <class S>
@@ -805,6 +807,7 @@ class RobotPlant : public RobotLayout {
     bool bristles_ = false, soft_ = false;
 };
 
+}  // namespace OMNISLIP_INSTRUCTION_SET
 }  // namespace omnislip
 
 #endif

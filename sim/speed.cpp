@@ -10,7 +10,7 @@
 #include "integrator.h"
 #include "motion_hal.h"
 #include "rigid_model.h"
-#include "robot_plant.h"
+#include "robot_motion.h"
 
 namespace omnislip {
 namespace {
@@ -31,15 +31,6 @@ double least_ns(Work &&work) {
         least = std::min(least, spent.count() / kRepetitions);
     }
     return least;
-}
-
-template <class Plant, class Internals>
-double plant_step_ns(const Plant &plant, const double *duty) {
-    double x[Plant::kAll] = {};
-    Internals in = {};
-    const double rate_1_s = plant.fastest_rate_1_s(), time_s = 0.0;
-    const LoggedCommands<Plant> commands(plant, &time_s, duty, 0);
-    return least_ns([&] { advance(plant, x, commands, time_s, kStep_s, kStep_s, rate_1_s, in); });
 }
 
 /* Shafts that follow their duty with a lag: just enough for the firmware to hold a speed. */
@@ -84,13 +75,13 @@ double rigid_step_ns(const std::vector<double> &values) {
 }
 
 double slip_step_ns(const std::vector<double> &values) {
-    using Plant = RobotPlant<double>;
-    Plant plant;
-    bool active[kEffectCount];
-    mark_active<Plant>(values.data(), 1, static_cast<int>(values.size()), active);
-    plant.prepare(values.data(), active);
-    const double duty[4] = {0.2, -0.1, 0.3, 0.1};
-    return plant_step_ns<Plant, RobotInternals<double>>(plant, duty);
+    const auto motion = make_robot_motion(values.data(), static_cast<int>(values.size()), {});
+    const double time_s = 0.0, duty[4] = {0.2, -0.1, 0.3, 0.1};
+    const DutyHistory duties = {&time_s, duty, 0};
+    double x[RobotLayout::kAll] = {};
+    RobotInternals<double> in = {};
+    return least_ns(
+        [&] { motion->advance(x, duties, time_s, kStep_s, kStep_s, Rule::kRk4, false, in); });
 }
 
 double axis_step_ns() {
@@ -102,8 +93,12 @@ double axis_step_ns() {
     const bool active[kEffectCount] = {};
     Plant plant;
     plant.prepare(values.data(), active);
-    const double command = 0.2;
-    return plant_step_ns<Plant, AxisInternals<double>>(plant, &command);
+    const double time_s = 0.0, command = 0.2;
+    const LoggedCommands<Plant> commands(plant, &time_s, &command, 0);
+    const double rate_1_s = plant.fastest_rate_1_s();
+    double x[Plant::kAll] = {};
+    AxisInternals<double> in = {};
+    return least_ns([&] { advance(plant, x, commands, time_s, kStep_s, kStep_s, rate_1_s, in); });
 }
 
 double firmware_tick_ns(const std::vector<std::int32_t> &firmware) {

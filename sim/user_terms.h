@@ -129,6 +129,8 @@ struct UserTermList {
     }
 };
 
+inline namespace OMNISLIP_INSTRUCTION_SET {
+
 /* Pointers to the values of the inputs: per motor, or one. */
 template <class S>
 struct UserInputs {
@@ -268,6 +270,7 @@ class UserTerms {
     bool active_[kMaxUserTerms] = {};
 };
 
+}  // namespace OMNISLIP_INSTRUCTION_SET
 }  // namespace omnislip
 
 #endif

@@ -1,4 +1,5 @@
-/* The replay kernels of all instruction sets compute what the plant of one robot computes.
+/* What is compiled for several instruction sets, replay kernels and the motion of one robot,
+ * computes what the plant of one robot computes.
  *
  * Lanes hold robots with different effects; the step is short enough that the stiffest of them
  * does not cut it finer, so every kernel takes the same steps and only rounding may differ.
@@ -6,6 +7,7 @@
 #include <memory>
 
 #include "replay.h"
+#include "robot_motion.h"
 #include "tests/sim/robot.h"
 
 #include <unity.h> /* last: its macro isnan() would break C++ headers */
@@ -136,6 +138,64 @@ static void axes_in_lanes_move_as_one_axis_alone(void) {
     }
 }
 
+/* What the sensors show in each row of a robot that moves by itself. */
+static std::vector<double> outputs_of_motion(const RobotModel &model, const Recording &r,
+                                             int widest_lanes) {
+    const auto motion =
+        make_robot_motion(model.flat.data(), static_cast<int>(model.flat.size()), {}, widest_lanes);
+    std::vector<double> outputs;
+    double x[RobotLayout::kAll] = {};
+    RobotInternals<double> in = {};
+    std::copy(r.initial_state.begin(), r.initial_state.end(), x);
+    motion->settle(x, r.command.data(), in);
+    for (std::size_t k = 0; k < r.time_s.size(); ++k) {
+        double y[RobotLayout::kOutputs];
+        motion->output(x, r.time_s[k], y);
+        outputs.insert(outputs.end(), y, y + RobotLayout::kOutputs);
+        if (k + 1 < r.time_s.size()) {
+            const DutyHistory duties = {r.time_s.data(), r.command.data(), static_cast<long>(k)};
+            motion->advance(x, duties, r.time_s[k], r.time_s[k + 1] - r.time_s[k], kStep_s,
+                            Rule::kRk4, false, in);
+        }
+    }
+    return outputs;
+}
+
+static void robot_moves_alike_whatever_registers_hold_its_wheels(void) {
+    const Recording r = recording_of<RobotPlant<double>>(0.5);
+    for (const RobotModel &model : one_model_per_effect<RobotPlant<double>>()) {
+        const std::vector<double> expected = outputs_of<Robot>(model, r);
+        for (const int lanes : {2, 4}) {
+            const std::vector<double> found = outputs_of_motion(model, r, lanes);
+            for (std::size_t j = 0; j < expected.size(); ++j) {
+                const double bound = 1e-9 * (1.0 + std::abs(expected[j]));
+                TEST_ASSERT_DOUBLE_WITHIN(bound, expected[j], found[j]);
+            }
+        }
+    }
+}
+
+/* A step that begins where `look` was is bit for bit that of a step that looks itself. */
+static void step_goes_on_from_a_look_as_from_none(void) {
+    const RobotModel model;
+    const auto motion =
+        make_robot_motion(model.flat.data(), static_cast<int>(model.flat.size()), {});
+    const double time_s = 0.0, duty[4] = {0.5, -0.2, 0.4, 0.1};
+    const DutyHistory duties = {&time_s, duty, 0};
+    RobotInternals<double> in = {};
+    for (const Rule rule : {Rule::kRk4, Rule::kMerson}) {
+        double x[2][RobotLayout::kAll] = {};
+        for (const bool looks : {false, true}) {
+            x[looks][RobotLayout::kPose + 2] = 0.7;
+            if (looks)
+                motion->look(x[looks], duties, time_s, in);
+            motion->advance(x[looks], duties, time_s, 3e-3, 1e-3, rule, looks, in);
+        }
+        TEST_ASSERT_EQUAL_MEMORY(x[0], x[1], sizeof x[0]);
+        TEST_ASSERT_TRUE(x[1][RobotLayout::kSpeed] > 1.0);
+    }
+}
+
 static void kernel_describes_the_plant(void) {
     const std::unique_ptr<Kernel> robot = make_kernel(0, 8), axis = make_kernel(1, 8);
     TEST_ASSERT_EQUAL_INT(RobotLayout::kStates, robot->states());
@@ -180,6 +240,8 @@ int main(void) {
     UNITY_BEGIN();
     RUN_TEST(robots_in_lanes_move_as_one_robot_alone);
     RUN_TEST(axes_in_lanes_move_as_one_axis_alone);
+    RUN_TEST(robot_moves_alike_whatever_registers_hold_its_wheels);
+    RUN_TEST(step_goes_on_from_a_look_as_from_none);
     RUN_TEST(kernel_describes_the_plant);
     RUN_TEST(linearised_row_is_the_slope_of_the_plant);
     return UNITY_END();
