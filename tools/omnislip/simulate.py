@@ -6,7 +6,9 @@ Errors of encoders and supply act in the loop, since the firmware reads these se
 currents and camera are only logged.
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -52,7 +54,8 @@ def simulate_truth(
     """
     parameters, effects = scenario.model.to_core()
     try:
-        raw_parameters = firmware_parameters((firmware_robot or scenario.model).values)
+        believed = (firmware_robot or scenario.model).values
+        raw_parameters = dict(_firmware_parameters(_frozen(believed)))
     except ValueError as error:
         raise InputError(f"{scenario.model.path}: {error}") from None
     raw_parameters["slip_compensation"] = int(scenario.slip_compensation)
@@ -75,6 +78,22 @@ def simulate_truth(
         )
     except ValueError as error:
         raise InputError(f"scenario '{scenario.name}': {error}") from None
+
+
+Frozen = tuple[tuple[str, float | tuple[float, ...]], ...]
+
+
+def _frozen(values: Mapping[str, float | Sequence[float]]) -> Frozen:
+    return tuple(
+        (name, value if isinstance(value, int | float) else tuple(value))
+        for name, value in values.items()
+    )
+
+
+@lru_cache
+def _firmware_parameters(values: Frozen) -> dict[str, int]:
+    """Return them for the values of a model, kept: many runs are of the same robot."""
+    return firmware_parameters(dict(values))
 
 
 def make_log(scenario: Scenario, truth: dict[str, Array]) -> Log:
