@@ -1,8 +1,9 @@
 /* replay_kernel.cpp - the row loops of replay.h for one SIMD instruction set.
  *
  * Compiled once per instruction set with OMNISLIP_ARCH (an xsimd architecture) and
- * OMNISLIP_ARCH_NAME. Only templates over that architecture and plain pointers live here, so that
- * no function compiled for a wide instruction set can be linked into code for a narrow one.
+ * OMNISLIP_ARCH_NAME. Only what stands in the namespace of that architecture (lanes.h), templates
+ * over it and plain pointers live here, so that no function compiled for a wide instruction set can
+ * be linked into code for a narrow one.
  */
 #include <algorithm>
 #include <new>
