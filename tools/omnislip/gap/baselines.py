@@ -1,0 +1,393 @@
+"""What simpler methods name from the same logs: the baselines of `omnislip gap benchmark`.
+
+base refit  Every believed key is fitted, free by 90 %; names nothing.
+BIC         Forward selection on open-loop error: replays of one second from the states of the
+            refitted model's filter. Secants screen the catalogue, the most promising are refitted
+            with all keys, the lowest criterion n ln(square error) + k ln n wins (Schwarz 1978)
+            until none lowers it. Errors of a replay last, so that n counts independent ones:
+            n (1 - r) / (1 + r) with r the correlation from row to row (Bayley, Hammersley 1946).
+SINDy       Sparse regression of the discrepancy (Brunton, Proctor, Kutz, PNAS 2016; Kaheman et al.,
+            2019): accelerations of shafts and body from the filtered speeds, as means over
+            `SPAN_ROWS` rows, minus those of the refitted model, on terms with PySINDy's
+            thresholded least squares, and stepwise ones that drop the weakest term (Boninsegna et
+            al. 2018). Of all thresholds and numbers of terms the model wins that replays the
+            validation runs best. What changes no acceleration at once (lags, sensors) has no term.
+ridge       All terms at once on the innovations; lambda by cross-validation over runs, the largest
+            within one standard error of the best (Breiman et al. 1984). An effect is named that
+            gives `NAMED_SHARE` of what all of them explain.
+
+A term of SINDy and ridge is the secant of one effect of the catalogue at its typical size, free of
+what the keys explain: the library has the right forms and their names, as good a library as can
+be. Of an effect with a shape (period, place) it holds the one start that alone promises most; what
+is infinite when absent (stiffness, limit) is not linear and has no term. Every method gets the runs
+that the workflow made of the logs (gates passed, cut at pushes), its split and its refitted model.
+"""
+
+import warnings
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from importlib.util import find_spec
+
+import numpy as np
+import numpy.typing as npt
+
+from omnislip.errors import InputError
+from omnislip.gap.find import Split
+from omnislip.gap.inference import (
+    BATCH,
+    DIVERGED,
+    Data,
+    Fit,
+    Hypothesis,
+    absorbed,
+    fit,
+    fit_more,
+)
+from omnislip.gap.machine import Candidate, Machine
+from omnislip.gap.metrics import WINDOW_S, gap_table, replay_all
+from omnislip.gap.noise import STEP_S, Noise, tune_noise
+from omnislip.gap.peers import FREE
+from omnislip.gap.recordings import Run
+from omnislip.gap.search import (
+    NEIGHBOURS,
+    Screened,
+    believed_hypothesis,
+    screen,
+)
+
+Array = npt.NDArray[np.float64]
+Pair = tuple[str, int | None]
+
+METHODS = ("base refit", "BIC", "SINDy", "ridge")
+REFITS, ITERATIONS, MOST_EFFECTS = 4, 3, 3
+"""Three effects are two and a friction curve: no case hides more."""
+SPAN_ROWS = 8
+SHAFTS_AND_BODY = (0, 1, 2, 3, 8, 9, 10)
+"""States whose accelerations are compared."""
+THRESHOLDS = np.logspace(-2, 0, 9)
+RIDGE, MOST_TERMS = 1e-3, 6
+LAMBDAS = np.logspace(-4, 4, 25)
+NAMED_SHARE = 0.1
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Effects a method names, strongest first, and the parameter set of its model."""
+
+    named: tuple[Pair, ...]
+    values: Array
+
+
+def check_installed() -> None:
+    """InputError if the package that one of the methods needs is missing."""
+    if find_spec("pysindy") is None:
+        raise InputError("pysindy is not installed: .venv/bin/pip install pysindy")
+
+
+def ask_baselines(
+    machine: Machine, split: Split, refit: Hypothesis, noise: Noise
+) -> dict[str, Answer]:
+    """Return the answer of every method; `refit` are the keys as the workflow fitted them.
+
+    The noise is tuned for that model, from a first `noise`: a defect counts as noise while it is
+    not explained.
+    """
+    runs = [*split.fitting, *split.validation]
+    values = refit.flat(machine.believed)
+    noise = tune_noise(machine, runs, values, noise)
+    data = Data(machine, runs, noise, values)
+    return {
+        "base refit": _free_refit(data),
+        "BIC": _lowest_criterion(OpenLoop(machine, runs, noise, values), refit),
+        "SINDy": _sparse(
+            Accelerations(machine, split.fitting, noise, values), refit, split.validation
+        ),
+        "ridge": _ridge(data, refit),
+    }
+
+
+def _free_refit(data: Data) -> Answer:
+    free = Machine(replace(data.machine.model, tolerance={"default": FREE}), data.machine.electric)
+    fitted = fit(data, believed_hypothesis(free))
+    return Answer((), fitted.hypothesis.flat(data.believed))
+
+
+class OpenLoop(Data):
+    """Errors of one-second replays, in the deviations that the noise alone gives them."""
+
+    def kept_rows(self, run: Run) -> npt.NDArray[np.bool_]:
+        """Rows of windows; the first row past the settling time belongs to none."""
+        kept = super().kept_rows(run)
+        kept[np.argmax(kept)] = False
+        return kept
+
+    def residuals(self, sets: Array) -> Array:
+        """Return errors (sets, m) of flat parameter sets."""
+        batches = np.array_split(sets, np.arange(BATCH, len(sets), BATCH))
+        return np.concatenate([self._errors(np.ascontiguousarray(batch)) for batch in batches])
+
+    def _errors(self, sets: Array) -> Array:
+        engine = self.machine.engine
+        replays = engine.replays(self.recordings, self.tracks, sets, STEP_S, WINDOW_S)
+        parts = [
+            np.where(weight > 0, error[:, kept] * weight, 0.0).reshape(len(sets), -1)
+            for error, kept, weight in zip(replays, self._kept, self._weights, strict=True)
+        ]
+        return _finite(np.concatenate(parts, axis=1) / self.scale)
+
+    @cached_property
+    def _weights(self) -> list[Array]:
+        """One over the deviation that the noise gives each error; 0 where nothing was sampled."""
+        weights = []
+        for run, track, kept in zip(self.runs, self.tracks, self._kept, strict=True):
+            deviation = np.sqrt(track.replay_variance.reshape(run.outputs.shape))[kept]
+            weights.append(np.where(np.isnan(run.outputs[kept]), 0.0, 1.0 / deviation))
+        return weights
+
+
+class Accelerations(Data):
+    """Mean accelerations over `SPAN_ROWS` rows: derived minus modelled, in their own deviation.
+
+    Each span shares half its rows with the next. Those of `SHAFTS_AND_BODY` take the places of the
+    first outputs; the others are 0.
+    """
+
+    def __init__(self, machine: Machine, runs: Sequence[Run], noise: Noise, values: Array) -> None:
+        self._refit = values
+        super().__init__(machine, runs, noise, values)
+
+    def kept_rows(self, run: Run) -> npt.NDArray[np.bool_]:
+        """Rows that end a span."""
+        row = np.arange(len(run.t_s))
+        return super().kept_rows(run) & (row >= SPAN_ROWS) & (row % (SPAN_ROWS // 2) == 0)
+
+    def residuals(self, sets: Array) -> Array:
+        """Return what is left of the accelerations (sets, m) by flat parameter sets."""
+        found = np.zeros((len(sets), len(self._derived), self.machine.engine.outputs))
+        for k, values in enumerate(sets):
+            left = (self._derived - self._modelled(values)) / self._deviation
+            found[k, :, : len(SHAFTS_AND_BODY)] = left
+        return _finite(found.reshape(len(sets), -1) / self.scale)
+
+    @cached_property
+    def _rows(self) -> tuple[Array, Array, Array, npt.NDArray[np.int64]]:
+        """Time, filtered state and command of all rows of all runs, and where spans end."""
+        states = [
+            track.state.reshape(len(run.t_s), -1)
+            for run, track in zip(self.runs, self.tracks, strict=True)
+        ]
+        return (
+            np.concatenate([run.t_s for run in self.runs]),
+            np.concatenate(states)[:, : self.machine.engine.states],
+            np.concatenate([run.command for run in self.runs]),
+            np.flatnonzero(np.concatenate([self.kept_rows(run) for run in self.runs])),
+        )
+
+    @cached_property
+    def _derived(self) -> Array:
+        _, states, _, _ = self._rows
+        return self._mean_rate(states[:, SHAFTS_AND_BODY])
+
+    def _modelled(self, values: Array) -> Array:
+        t_s, states, command, _ = self._rows
+        middle = np.ascontiguousarray((states[1:] + states[:-1]) / 2)
+        rates = self.machine.engine.derivatives(values, middle, command[:-1].copy())
+        steps = rates[:, SHAFTS_AND_BODY] * np.diff(t_s)[:, None]
+        return self._mean_rate(np.cumsum(np.vstack([np.zeros_like(steps[:1]), steps]), axis=0))
+
+    def _mean_rate(self, integral: Array) -> Array:
+        t_s, _, _, end = self._rows
+        change = integral[end] - integral[end - SPAN_ROWS]
+        return change / (t_s[end] - t_s[end - SPAN_ROWS])[:, None]
+
+    @cached_property
+    def _deviation(self) -> Array:
+        return np.std(self._derived - self._modelled(self._refit), axis=0)
+
+
+def _finite(residuals: Array) -> Array:
+    """Return the residuals of models that diverged as far off."""
+    return np.clip(np.nan_to_num(residuals, nan=DIVERGED), -DIVERGED, DIVERGED)
+
+
+def _candidates(data: Data) -> list[Candidate]:
+    return [*data.machine.candidates(), *data.machine.floor_candidates(data.runs)]
+
+
+def _sizes(machine: Machine, one: Screened, amounts: Sequence[float]) -> Array:
+    """Sizes of an effect with `amounts` of its typical ones, its shape as it was screened."""
+    sizes = one.start.copy()
+    for amount, index in zip(amounts, one.candidate.amplitudes, strict=True):
+        p = one.candidate.parameters[index]
+        absent = machine.believed[p.places[0]]
+        if np.isfinite(absent):
+            sizes[index] = absent + amount * p.scale * machine.sign_of(
+                one.candidate.effect, p.label
+            )
+    parameters = one.candidate.parameters
+    return np.clip(sizes, [p.low for p in parameters], [p.high for p in parameters])
+
+
+def _lowest_criterion(data: OpenLoop, refit: Hypothesis) -> Answer:
+    current, candidates = fit(data, refit, ITERATIONS), _candidates(data)
+    while len(current.hypothesis.effects) < MOST_EFFECTS:
+        screened = screen(data, current, candidates)[:NEIGHBOURS]
+        starts = [
+            current.hypothesis.with_effect(
+                one.candidate, _sizes(data.machine, one, one.start[list(one.candidate.amplitudes)])
+            )
+            for one in screened[:REFITS]
+        ]
+        quick = min(fit_more(data, current, starts, ITERATIONS), key=lambda one: one.objective)
+        best = fit(data, quick.hypothesis, ITERATIONS)
+        count = _independent(data, current.residual)
+        if _criterion(best, count) >= _criterion(current, count):
+            break
+        taken = best.hypothesis.effects[-1].name
+        candidates = [one.candidate for one in screened if one.candidate.name != taken]
+        current = best
+    return Answer(_named(current.hypothesis.effects), current.hypothesis.flat(data.believed))
+
+
+def _criterion(fitted: Fit, count: float) -> float:
+    left = float(fitted.residual @ fitted.residual)
+    return count * np.log(left) + len(fitted.hypothesis.x) * np.log(count)
+
+
+def _independent(data: Data, residual: Array) -> float:
+    """How many independent errors are worth as much as these; 0 is not sampled."""
+    rows = residual.reshape(-1, data.machine.engine.outputs)
+    pairs = np.stack([rows[1:], rows[:-1]])[:, (rows[1:] != 0) & (rows[:-1] != 0)]
+    correlation = 2 * np.sum(pairs[0] * pairs[1]) / np.sum(pairs**2)
+    return np.count_nonzero(rows) * (1 - correlation) / (1 + correlation)
+
+
+class Library:
+    """The terms of SINDy and ridge, free of the keys: columns (m, terms) of unit deviation.
+
+    `owner` is the number of the effect in `effects` that a term belongs to.
+    """
+
+    def __init__(self, data: Data, base: Fit) -> None:
+        self.base, self.machine = base, data.machine
+        self.effects = screen(data, base, [c for c in _candidates(data) if _linear(data, c)])
+        flat = base.hypothesis.flat(data.believed)
+        points, owner = [], []
+        for number, one in enumerate(self.effects):
+            for unit in np.eye(len(one.candidate.amplitudes)):
+                sizes = _sizes(self.machine, one, unit)
+                points.append(self.machine.with_effect(flat, one.candidate, sizes))
+                owner.append(number)
+        secants = (data.residuals(np.stack(points)) - base.residual).T
+        self._absorbed = absorbed(base, secants)
+        free = self._absorbed.rest(base.jacobian, secants)
+        self._deviation = np.sqrt(np.mean(free**2, axis=0))
+        self._shows = self._deviation > 0
+        self.owner = np.array(owner)[self._shows]
+        self.columns = free[:, self._shows] / self._deviation[self._shows]
+
+    def model(self, weights: Array) -> Array:
+        """Return the parameter set that has so much of each term, its keys moved as they go."""
+        amounts = np.zeros(len(self._shows))
+        amounts[self._shows] = weights / self._deviation[self._shows]
+        x = self.base.hypothesis.x.copy()
+        for index, step in zip(
+            self._absorbed.parameters, self._absorbed.weights @ amounts, strict=True
+        ):
+            p = self.base.hypothesis.parameters[index]
+            x[index] = np.clip(x[index] - step * p.scale, p.low, p.high)
+        values = self.base.hypothesis.flat(self.machine.believed, x)
+        edges = np.cumsum([len(one.candidate.amplitudes) for one in self.effects])
+        for one, own in zip(self.effects, np.split(amounts, edges[:-1]), strict=True):
+            if not own.any():
+                continue
+            sizes = _sizes(self.machine, one, own)
+            for index, (p, size) in enumerate(zip(one.candidate.parameters, sizes, strict=True)):
+                places = list(p.places)
+                if index in one.candidate.amplitudes:  # of one wheel beside that of all
+                    size = values[places] + size - self.machine.believed[places]
+                values[places] = np.clip(size, p.low, p.high)
+        return values
+
+    def named(self, strength: Array, least: float) -> tuple[Pair, ...]:
+        """Return the effects whose terms are together stronger than `least`, strongest first."""
+        sums = np.bincount(self.owner, strength, len(self.effects))
+        strong = [k for k in np.argsort(-sums) if sums[k] > least]
+        return _named([self.effects[k].candidate for k in strong])
+
+
+def _linear(data: Data, candidate: Candidate) -> bool:
+    places = [candidate.parameters[i].places[0] for i in candidate.amplitudes]
+    return bool(np.isfinite(data.believed[places]).all())
+
+
+def _named(effects: Iterable[Candidate]) -> tuple[Pair, ...]:
+    """Names in the order of `gap find`: a friction curve comes last."""
+    ordered = sorted(effects, key=lambda effect: effect.effect == "contact_shape")
+    return tuple((effect.effect, effect.wheel) for effect in ordered)
+
+
+def _sparse(data: Accelerations, refit: Hypothesis, validation: Sequence[Run]) -> Answer:
+    from pysindy import SSR, STLSQ
+
+    base = fit(data, refit, iterations=0)
+    library = Library(data, base)
+    # Least squares sees only products of columns; the triangle of their QR has the same.
+    triangle = np.linalg.qr(np.column_stack([library.columns, -base.residual]), mode="r")
+    terms, target = triangle[:, :-1], triangle[:, -1:]
+    size = RIDGE * len(base.residual)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Sparsity parameter is too big")  # none is an answer, too
+        found = [STLSQ(threshold=one, alpha=size).fit(terms, target).coef_ for one in THRESHOLDS]
+    stepwise = SSR(alpha=size, max_iter=terms.shape[1]).fit(terms, target)
+    found += stepwise.history_[-MOST_TERMS:]  # one term less each
+    answers = [Answer(library.named(w**2, 0.0), library.model(w)) for w in map(np.ravel, found)]
+    sets = [refit.flat(data.believed), *(answer.values for answer in answers)]
+    errors = replay_errors(data.machine, validation, data.noise, sets)[1:]
+    return answers[int(np.argmin(errors))]
+
+
+def _ridge(data: Data, refit: Hypothesis) -> Answer:
+    base = fit(data, refit)
+    library = Library(data, base)
+    grams, rights = [], []
+    for columns, residual in zip(
+        data.per_run(library.columns), data.per_run(base.residual), strict=True
+    ):
+        grams.append(columns.T @ columns)
+        rights.append(-columns.T @ residual)
+    gram, right = np.sum(grams, axis=0), np.sum(rights, axis=0)
+
+    def weights(size: float, gram: Array, right: Array) -> Array:
+        return np.linalg.solve(gram + size * len(base.residual) * np.eye(len(gram)), right)
+
+    changes = np.zeros((len(LAMBDAS), len(grams)))  # of the square error, by run left out
+    for k, size in enumerate(LAMBDAS):
+        for run, (own_gram, own_right) in enumerate(zip(grams, rights, strict=True)):
+            w = weights(size, gram - own_gram, right - own_right)
+            changes[k, run] = w @ own_gram @ w - 2 * w @ own_right
+    means = np.mean(changes, axis=1)
+    best = int(np.argmin(means))
+    error = np.std(changes[best], ddof=1) / np.sqrt(len(grams))
+    w = weights(LAMBDAS[np.flatnonzero(means <= means[best] + error)[-1]], gram, right)
+    if means[best] + error >= 0:  # no better than none at all
+        w = np.zeros_like(w)
+    gains = w * (2 * right - gram @ w)
+    return Answer(library.named(gains, NAMED_SHARE * np.sum(gains)), library.model(w))
+
+
+def replay_errors(
+    machine: Machine, runs: Sequence[Run], noise: Noise, sets: Sequence[Array]
+) -> Array:
+    """Return the error of one-second replays of each of two or more models.
+
+    In noise floors of the first model; at most `DIVERGED`, and so much for one that diverges.
+    """
+    replays = replay_all(machine, runs, noise, [*sets, sets[0]])  # the last one gives the floor
+    table = gap_table(replays)
+    errors = np.sqrt(np.mean((table.rmse / table.floor) ** 2, axis=1))
+    for one in replays:
+        sampled = ~np.isnan(one.run.outputs) & one.counted[:, None]
+        errors[np.isnan(one.errors[:, sampled]).any(axis=1)] = DIVERGED
+    return np.minimum(errors, DIVERGED)[:-1]
