@@ -12,22 +12,28 @@ the oracle, over the inflation. Below 25 nothing can be seen, and saying nothing
 
 A friction curve of the truth that is not the believed arctangent is an effect of its own; naming it
 (`contact_shape`) is right, and not naming it is no fault.
+
+Simpler methods (baselines.py) answer from the same logs and are scored by the same rules, where the
+workflow did not refuse the logs. A case that raises an exception is a row, too: nothing of it is
+right, its traceback is in error.txt of its folder, and the next call tries it again.
 """
 
 import json
 import tempfile
 import time
+import traceback
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pandas as pd
-from matplotlib.figure import Figure
 
 from omnislip.compute import Outcome, run_cases
 from omnislip.files import replace_file
+from omnislip.gap.baselines import METHODS, ask_baselines, check_installed, replay_errors
 from omnislip.gap.find import Findings, find_gap, to_json
 from omnislip.gap.inference import Data, Fit, Hypothesis, fit, weigh
 from omnislip.gap.machine import Candidate, Machine
@@ -37,9 +43,14 @@ from omnislip.gap.recordings import Run
 from omnislip.gap.truth import TruthCase, random_case, write_case
 from omnislip.gap.truth_effects import EFFECTS, UNKNOWN_EFFECTS
 
+Array = npt.NDArray[np.float64]
+Pair = tuple[str, int | None]
+
 CURVE_EFFECT = "contact_shape"
 SEEDS = {"development": 1_000, "sealed": 5_000_000}
-RESULTS = "results.parquet"
+RESULTS, ERROR = "results.parquet", "error.txt"
+FAILED = "failed"
+"""Verdict of a case that raised an exception."""
 WIRING_EFFECTS = ("wheel_permutation", "encoder_sign", "motor_sign")
 VISIBLE = 25.0
 IN_TIME_S = 0.015
@@ -125,6 +136,9 @@ def run_benchmark(
     `scheduler`, `progress`: as in run_cases. But for the time it took, a row is the same wherever
     its case was computed.
     """
+    check_installed()
+    for task in chosen:  # a case counts as finished while its files are there
+        (out / task.name / ERROR).unlink(missing_ok=True)
     rows = run_cases(solve, {task.name: asdict(task) for task in chosen}, out, scheduler, progress)
     with replace_file(out / RESULTS) as temporary:
         pd.DataFrame(rows).to_parquet(temporary, index=False)
@@ -136,17 +150,49 @@ def solve(case: dict[str, Any]) -> Outcome:
     task = Task(**case | {"case": TruthCase(**case["case"])})
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        truth = write_case(task.case, folder)
-        begin = time.monotonic()
-        findings = find_gap(folder / "robot.toml", sorted(folder.glob("run_*.csv")), _silent)
-        seconds = time.monotonic() - begin
+        try:
+            row = _solve_in(folder, task)
+        except ImportError:  # the fault of this machine, not of the case
+            raise
+        except Exception as error:
+            row = _failed(task, error)
+            (folder / ERROR).write_text(traceback.format_exc(), encoding="utf-8")
+        (folder / "result.json").write_bytes(_json(row))
         files = {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
+    return Outcome(row, {f"{task.name}/{name}": content for name, content in files.items()})
+
+
+def _solve_in(folder: Path, task: Task) -> dict[str, Any]:
+    """Write logs, truth and gap.json into the folder; return the row."""
+    truth = write_case(task.case, folder)
+    begin = time.monotonic()
+    findings = find_gap(folder / "robot.toml", sorted(folder.glob("run_*.csv")), _silent)
+    seconds = time.monotonic() - begin
     found = to_json(findings)
     found["inputs_sha256"] = {Path(p).name: mark for p, mark in found["inputs_sha256"].items()}
-    row = score(truth, found) | {"name": task.name, "kind": task.kind, "time_s": seconds}
-    row |= _ask_oracle(findings, truth)
-    files |= {"gap.json": _json(found), "result.json": _json(row)}
-    return Outcome(row, {f"{task.name}/{name}": content for name, content in files.items()})
+    (folder / "gap.json").write_bytes(_json(found))
+    row = score(truth, found) | _about(task) | {"time_s": seconds}
+    oracle, seen = _ask_oracle(findings, truth)
+    return row | seen | _ask_others(findings, truth, oracle)
+
+
+def _about(task: Task) -> dict[str, Any]:
+    return {"name": task.name, "kind": task.kind, "error": None}
+
+
+def _failed(task: Task, error: Exception) -> dict[str, Any]:
+    """Row of a case that raised an exception: nothing is right."""
+    case = task.case
+    hidden = [effect.as_dict() for effect in case.hidden()]
+    truth = {"effects": hidden, "also_true": [], "expected_verdict": None}
+    keys = ("friction_curve", "closed_loop", "excitation", "sensors")
+    found = {"verdict": FAILED, "effects": [], "unknown": [], "nearest": []}
+    row = score(truth | {key: asdict(case)[key] for key in keys}, found) | _about(task)
+    reason = str(error).strip().splitlines()[-1:]
+    row |= {"error": ": ".join([type(error).__name__, *reason]), "time_s": None}
+    row |= {"first": False, "exact": False}
+    row |= {"wheel": False if any(e["wheel"] is not None for e in hidden) else None}
+    return row | NOT_SEEN | dict.fromkeys(METHOD_COLUMNS)
 
 
 def _silent(_text: str) -> None:
@@ -159,10 +205,8 @@ def _json(value: dict[str, Any]) -> bytes:
 
 def score(truth: dict[str, Any], found: dict[str, Any]) -> dict[str, Any]:
     """Compare gap.json with the truth; see the head of the module for what counts as right."""
-    wanted = [(e["name"], e["wheel"]) for e in truth["effects"]]
-    allowed = {(name, None) for name in truth["also_true"]}
+    wanted, allowed = _wanted(truth)
     named = [(e["name"], e["wheel"]) for e in found["effects"]]
-    counted = [pair for pair in named if pair not in allowed]
     sets = [
         {_label(*n), *e["ambiguous_with"]} for n, e in zip(named, found["effects"], strict=True)
     ]
@@ -179,14 +223,29 @@ def score(truth: dict[str, Any], found: dict[str, Any]) -> dict[str, Any]:
         "ambiguous": [sorted(s) for s in sets],
         "unknown": [f"{u['equation']}: {u['dependence']}" for u in found["unknown"][:3]],
         "nearest": [_label(e["name"], e["wheel"]) for e in found["nearest"]],
-        "first": bool(counted) and counted[0] in wanted if wanted else not counted,
-        "exact": sorted(set(counted), key=str) == sorted(set(wanted), key=str),
+        **_right(truth, named),
         "recall": [pair in named for pair in wanted],
         "wheel": _wheel_right(wanted, named),
         "in_set": [any(_label(*pair) in s for s in sets) for pair in wanted],
         "set_size": [len(s) for s in judged],
         "sizes": _size_errors(truth, found),
         "impacts": _impacts_in_time(truth, found),
+    }
+
+
+def _wanted(truth: dict[str, Any]) -> tuple[list[Pair], set[Pair]]:
+    """Effects that are hidden, and those that may be named besides."""
+    wanted = [(e["name"], e["wheel"]) for e in truth["effects"]]
+    return wanted, {(name, None) for name in truth["also_true"]}
+
+
+def _right(truth: dict[str, Any], named: Sequence[Pair]) -> dict[str, bool]:
+    """Whether the first name and the set of all names are right."""
+    wanted, allowed = _wanted(truth)
+    counted = [pair for pair in named if pair not in allowed]
+    return {
+        "first": bool(counted) and counted[0] in wanted if wanted else not counted,
+        "exact": set(counted) == set(wanted),
     }
 
 
@@ -249,17 +308,21 @@ def _impacts_in_time(truth: dict[str, Any], found: dict[str, Any]) -> dict[str, 
     }
 
 
-def _ask_oracle(findings: Findings, truth: dict[str, Any]) -> dict[str, Any]:
-    """Fit the true structure: how visible it is, and how much of the gap it closes.
+NOT_SEEN = {"lambda": None, "gap_closed": None, "gap_closed_oracle": None}
+
+
+def _ask_oracle(
+    findings: Findings, truth: dict[str, Any]
+) -> tuple[Hypothesis | None, dict[str, Any]]:
+    """Fit the true structure: its model, how visible it is, how much of the gap it closes.
 
     `lambda` is None where the catalogue cannot hold the truth (unknown, wiring, impact).
     """
-    nothing = {"lambda": None, "gap_closed": None, "gap_closed_oracle": None}
     machine, outcome = findings.machine, findings.outcome
     runs = [*findings.split.fitting, *findings.split.validation]
     structure = _true_structure(machine, runs, truth)
     if outcome is None or structure is None:
-        return nothing
+        return None, NOT_SEEN
     base = outcome.ladder[0].hypothesis
     sizes = [outcome.ladder[0].hypothesis.x] + [np.array(values) for _, values in structure]
     oracle = Hypothesis(base.base, tuple(c for c, _ in structure), np.concatenate(sizes))
@@ -275,7 +338,43 @@ def _ask_oracle(findings: Findings, truth: dict[str, Any]) -> dict[str, Any]:
         sets = [*models, hypothesis.flat(machine.believed)]
         table = gap_table(replay_all(machine, findings.split.held_out, data.noise, sets))
         closed.append(table.closed.value)
-    return {"lambda": visible, "gap_closed": closed[0], "gap_closed_oracle": closed[1]}
+    seen = {"lambda": visible, "gap_closed": closed[0], "gap_closed_oracle": closed[1]}
+    return fitted.hypothesis, seen
+
+
+METHOD_COLUMNS = (
+    *(f"{method}: {what}" for method in METHODS for what in ("named", "first", "exact")),
+    *(f"{method}: replay_error" for method in ("workflow", "oracle", *METHODS)),
+    "baselines_time_s",
+)
+
+
+def _ask_others(
+    findings: Findings, truth: dict[str, Any], oracle: Hypothesis | None
+) -> dict[str, Any]:
+    """Score the answers of the baselines, and the replays of all models on the held-out runs.
+
+    `replay_error` is in noise floors of the workflow's model; all columns are None where the logs
+    were refused.
+    """
+    row: dict[str, Any] = dict.fromkeys(METHOD_COLUMNS)
+    machine, outcome, split = findings.machine, findings.outcome, findings.split
+    if outcome is None:
+        return row
+    begin = time.monotonic()
+    answers = ask_baselines(machine, split, outcome.ladder[0].hypothesis, outcome.data.noise)
+    row["baselines_time_s"] = time.monotonic() - begin
+    models = {"workflow": outcome.final.hypothesis.flat(machine.believed)}
+    models |= {name: answer.values for name, answer in answers.items()}
+    if oracle is not None:
+        models["oracle"] = oracle.flat(machine.believed)
+    for name, answer in answers.items():
+        row[f"{name}: named"] = [_label(*pair) for pair in answer.named]
+        row |= {f"{name}: {key}": right for key, right in _right(truth, answer.named).items()}
+    errors = replay_errors(machine, split.held_out, outcome.data.noise, list(models.values()))
+    for name, error in zip(models, errors, strict=True):
+        row[f"{name}: replay_error"] = float(error)
+    return row
 
 
 def _lambda(data: Data, fitted: Fit, index: int) -> float:
@@ -302,98 +401,3 @@ def _true_structure(
     if truth["friction_curve"] != "atan":
         structure.append((known[CURVE_EFFECT, None], [0.7]))
     return structure
-
-
-def summary(rows: Sequence[dict[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Return the figures of all classes: share with its 95 % Wilson interval, or median.
-
-    Singles and doubles count where the oracle sees every hidden effect (`VISIBLE`).
-    """
-    of = {kind: [r for r in rows if r["kind"] == kind] for kind in SIZES["full"]}
-    seen = {k: [r for r in of[k] if (r["lambda"] or 0) >= VISIBLE] for k in ("single", "double")}
-    both = seen["single"] + seen["double"]
-    sizes = [s for r in both for s in r["sizes"]]
-    pushes = [r["impacts"] for r in of["impact"] if r["impacts"]]
-    closed = [
-        r["gap_closed"] / r["gap_closed_oracle"]
-        for r in both
-        if r["gap_closed"] is not None and (r["gap_closed_oracle"] or 0) > 0.05
-    ]
-    misnamed = [r["verdict"] == "effect_found" and not r["first"] for r in of["unknown"]]
-    return {
-        "single: first name right": _share([r["first"] for r in seen["single"]]),
-        "single: exact set": _share([r["exact"] for r in seen["single"]]),
-        "wheel right": _share([r["wheel"] for r in both if r["wheel"] is not None]),
-        "size error, median": _median([s["error"] for s in sizes]),
-        "interval holds the size": _share([s["inside"] for s in sizes]),
-        "null: false alarm": _share([not r["exact"] for r in of["null"]]),
-        "double: both found": _share([all(r["recall"]) for r in seen["double"]]),
-        "double: exact set": _share([r["exact"] for r in seen["double"]]),
-        "unknown: flagged": _share([r["verdict"] == "unknown_effect" for r in of["unknown"]]),
-        "unknown: misnamed": _share(misnamed),
-        "truth inside the ambiguity set": _share([i for r in both for i in r["in_set"]]),
-        "ambiguity set, mean size": _mean([n for r in both for n in r["set_size"]]),
-        "gap closed against the oracle, median": _median(closed),
-        "impacts in time": {
-            "hits": sum(p["in_time"] for p in pushes),
-            "of": sum(p["hidden"] for p in pushes),
-            **_wilson(sum(p["in_time"] for p in pushes), sum(p["hidden"] for p in pushes)),
-        },
-        "wiring: right": _share([r["exact"] for r in of["wiring"]]),
-        "time, median s": _median([r["time_s"] for r in rows]),
-    }
-
-
-def _share(hits: Sequence[bool]) -> dict[str, Any]:
-    return {"hits": sum(hits), "of": len(hits), **_wilson(sum(hits), len(hits))}
-
-
-def _wilson(hits: int, count: int) -> dict[str, float | None]:
-    """Share and its 95 % interval (Wilson 1927)."""
-    if count == 0:
-        return {"value": None, "low": None, "high": None}
-    z, share = 1.959964, hits / count
-    middle = (share + z**2 / (2 * count)) / (1 + z**2 / count)
-    half = z / (1 + z**2 / count) * np.sqrt(share * (1 - share) / count + z**2 / (4 * count**2))
-    return {"value": share, "low": float(middle - half), "high": float(middle + half)}
-
-
-def _median(values: Sequence[float]) -> dict[str, Any]:
-    return {"value": float(np.median(values)) if len(values) else None, "of": len(values)}
-
-
-def _mean(values: Sequence[float]) -> dict[str, Any]:
-    return {"value": float(np.mean(values)) if len(values) else None, "of": len(values)}
-
-
-def draw_confusion(rows: Sequence[dict[str, Any]], path: Path) -> None:
-    """Draw hidden effect against the first name given (png)."""
-    pairs = []
-    for row in rows:
-        if row["kind"] not in ("single", "unknown", "null", "wiring"):
-            continue
-        hidden = _bare(row["hidden"][0]) if row["hidden"] else "nothing"
-        given = [n for n in map(_bare, row["named"]) if n != CURVE_EFFECT or hidden == n]
-        silent = "unknown" if row["verdict"] == "unknown_effect" else "nothing"
-        pairs.append((hidden, given[0] if given else silent))
-    truth = sorted({t for t, _ in pairs})
-    names = sorted({n for _, n in pairs}, key=lambda n: (n not in truth, n))
-    table = np.zeros((len(truth), len(names)))
-    for hidden, given in pairs:
-        table[truth.index(hidden), names.index(given)] += 1
-    figure = Figure(figsize=(4 + 0.2 * len(names), 3 + 0.2 * len(truth)), layout="constrained")
-    axes = figure.subplots()
-    shown = np.where(table > 0, table, np.nan) / table.sum(axis=1, keepdims=True)
-    axes.imshow(shown, cmap="viridis_r", vmin=0.0, vmax=1.0, aspect="auto")
-    axes.set_xticks(range(len(names)), names, rotation=90, fontsize=7)
-    axes.set_yticks(range(len(truth)), truth, fontsize=7)
-    axes.set(xlabel="first name given", ylabel="hidden")
-    for (i, j), count in np.ndenumerate(table):
-        if count:
-            axes.text(j, i, f"{count:.0f}", ha="center", va="center", fontsize=6, color="white")
-    with replace_file(path) as temporary:
-        figure.savefig(temporary, format="png", dpi=150)
-
-
-def _bare(label: str) -> str:
-    return label.split(" (")[0]

@@ -146,14 +146,8 @@ def benchmark(
     as_json: Json = False,
 ) -> None:
     """Hide effects in logs of an independent simulator and see whether they are found."""
-    from omnislip.gap.benchmark import (
-        RESULTS,
-        SIZES,
-        draw_confusion,
-        run_benchmark,
-        summary,
-        tasks,
-    )
+    from omnislip.gap.benchmark import RESULTS, SIZES, run_benchmark, tasks
+    from omnislip.gap.benchmark_summary import CONFUSION, SUMMARY, tables, write_summary
 
     check_folder(out)
     for kind in kinds or ():
@@ -164,23 +158,18 @@ def benchmark(
         rows = run_benchmark(
             out, chosen, scheduler, lambda done, total: say(f"{done} of {total} cases solved")
         )
-    figures = summary(rows)
-    draw_confusion(rows, out / "confusion.png")
+    for row in rows:
+        if row["error"]:
+            print(f"failed: {row['name']}: {row['error']}", file=sys.stderr)
+    figures = write_summary(rows, out)
     if as_json:
-        print(json.dumps({"summary": figures, "cases": rows}, indent=1, allow_nan=False))
+        print(json.dumps(figures | {"cases": rows}, indent=1, allow_nan=False))
         return
     _print_cases(rows)
-    table = Table(title=f"{which.value} set, {len(rows)} cases, 95 % intervals")
-    for heading in ("figure", "reached", "interval", "cases"):
-        table.add_column(heading)
-    for name, one in figures.items():
-        if one["value"] is None:
-            continue
-        interval = f"{one['low']:.3f} to {one['high']:.3f}" if "low" in one else ""
-        cases = f"{one['hits']} of {one['of']}" if "hits" in one else str(one["of"])
-        table.add_row(name, f"{one['value']:.3f}", interval, cases)
-    Console().print(table)
-    print(f"hidden against named: {out / 'confusion.png'}   all rows: {out / RESULTS}")
+    for table in tables(figures, f"{which.value} set, {len(rows)} cases"):
+        Console().print(table)
+    print(f"hidden against named: {out / CONFUSION}   figures: {out / SUMMARY}")
+    print(f"all rows: {out / RESULTS}   traceback of a failed case: error.txt in its folder")
 
 
 def _print_cases(rows: list[dict]) -> None:

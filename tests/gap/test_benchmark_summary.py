@@ -1,0 +1,147 @@
+"""Rows of the benchmark are summed up: shares, groups, effects, methods, tables and the picture."""
+
+import json
+from itertools import pairwise
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from omnislip.gap.baselines import METHODS
+from omnislip.gap.benchmark import METHOD_COLUMNS
+from omnislip.gap.benchmark_summary import (
+    CONFUSION,
+    SUMMARY,
+    by_effect,
+    by_group,
+    by_method,
+    share,
+    summary,
+    tables,
+    write_summary,
+)
+from rich.console import Console
+
+
+def row(kind="single", hidden=("payload",), named=("payload",), **changed):
+    """Row of a case in which all was found; the baselines found nothing."""
+    right = set(hidden) == set(named)
+    found = {
+        "name": kind,
+        "kind": kind,
+        "error": None,
+        "hidden": list(hidden),
+        "friction_curve": "atan",
+        "closed_loop": False,
+        "verdict": "effect_found" if named else "no_gap",
+        "named": list(named),
+        "first": right,
+        "exact": right,
+        "recall": [h in named for h in hidden],
+        "wheel": None,
+        "in_set": [h in named for h in hidden],
+        "set_size": [1] * len(named),
+        "sizes": [],
+        "impacts": None,
+        "time_s": 1.0,
+        "lambda": 100.0 if kind in ("single", "double") else None,
+        "gap_closed": 0.9,
+        "gap_closed_oracle": 1.0,
+    }
+    for method in METHODS:
+        found |= {f"{method}: named": [], f"{method}: replay_error": 4.0}
+        found |= {f"{method}: {key}": not hidden for key in ("first", "exact")}
+    found |= {"workflow: replay_error": 1.0, "oracle: replay_error": 1.0, "baselines_time_s": 1.0}
+    return found | changed
+
+
+def failed(**changed):
+    """Row of a case that raised an exception."""
+    nothing = dict.fromkeys(METHOD_COLUMNS) | {"gap_closed": None, "gap_closed_oracle": None}
+    wrong = {"first": False, "exact": False, "lambda": None, "time_s": None}
+    return row(named=(), verdict="failed", error="ValueError: x") | nothing | wrong | changed
+
+
+def hits(figure):
+    return figure["hits"], figure["of"]
+
+
+@given(right=st.integers(0, 50), wrong=st.integers(0, 50))
+def test_wilson_interval_holds_the_share_and_stays_in_bounds(right, wrong):
+    one = share([True] * right + [False] * wrong)
+    if right + wrong == 0:
+        assert one["value"] is None
+    else:
+        edges = [-1e-12, one["low"], one["value"], one["high"], 1 + 1e-12]
+        assert all(a <= b + 1e-12 for a, b in pairwise(edges))
+
+
+def test_wilson_interval_is_that_of_the_textbook():
+    one = share([True] * 8 + [False] * 2)
+    assert (one["low"], one["high"]) == pytest.approx((0.490, 0.943), abs=5e-4)
+
+
+def test_singles_count_where_the_oracle_sees_them():
+    rows = [row(), row(named=()), row(named=(), **{"lambda": 3.0})]
+    assert hits(summary(rows)["single: first name right"]) == (1, 2)
+    closed = summary(rows)["gap closed against the oracle, median"]
+    assert closed["value"] == pytest.approx(0.9)
+
+
+def test_a_failed_case_is_not_right_in_any_figure_of_its_class():
+    one = summary([row(), failed(wheel=False), failed(kind="null", hidden=(), recall=[])])
+    assert hits(one["failed"]) == (2, 3)
+    assert hits(one["single: first name right"]) == (1, 2)
+    assert hits(one["single: exact set"]) == (1, 2)
+    assert hits(one["wheel right"]) == (0, 1)
+    assert hits(one["null: false alarm"]) == (1, 1)
+    assert one["gap closed against the oracle, median"]["value"] == pytest.approx(0.45)
+    one = summary([failed(kind="unknown", hidden=("bump_map",))])
+    assert hits(one["unknown: flagged"]) == (0, 1) and hits(one["unknown: misnamed"]) == (1, 1)
+    one = summary([failed(kind="impact", impacts={"in_time": 0, "hidden": 2, "found": 0})])
+    assert hits(one["impacts in time"]) == (0, 2)
+
+
+def test_groups_are_by_curve_and_by_loop():
+    rows = [row(), row(named=(), friction_curve="tanh", closed_loop=True)]
+    rows.append(row("null", (), ("body_drag",), closed_loop=True))
+    groups = by_group(rows)
+    assert hits(groups["friction curve as believed"]["first name right"]) == (1, 1)
+    assert hits(groups["friction curve another"]["first name right"]) == (0, 1)
+    assert hits(groups["closed loop"]["exact set"]) == (0, 1)
+    assert hits(groups["closed loop"]["false alarm"]) == (1, 1)
+    assert hits(groups["open loop"]["false alarm"]) == (0, 0)
+
+
+def test_an_effect_is_found_alone_and_beside_another_and_on_any_wheel():
+    rows = [
+        row("single", ("weak_motor (wheel 2)",), ("weak_motor (wheel 2)",)),
+        row("double", ("weak_motor (wheel 1)", "payload"), ("payload",)),
+        row("single", ("payload",), (), **{"lambda": 2.0}),
+        row("unknown", ("bump_map",), (), verdict="unknown_effect"),
+    ]
+    effects = by_effect(rows)
+    assert hits(effects["weak_motor"]["found where visible"]) == (1, 2)
+    assert hits(effects["payload"]["found where visible"]) == (1, 1)
+    assert effects["payload"]["hidden"]["value"] == 2
+    assert hits(effects["bump_map"]["found where visible"]) == (1, 1)
+
+
+def test_methods_are_compared_on_cases_that_all_were_asked():
+    refused = row(named=(), verdict="insufficient_data") | dict.fromkeys(METHOD_COLUMNS)
+    methods = by_method([row(), refused, failed()])
+    assert hits(methods["workflow"]["first name right"]) == (1, 2)
+    assert hits(methods["BIC"]["first name right"]) == (0, 1)
+    assert methods["ridge"]["replay error, median"] == {"value": 4.0, "of": 1}
+    assert "exact set" not in methods["oracle"]
+
+
+def test_everything_is_written_drawn_and_printed(tmp_path):
+    rows = [row(), row("null", (), ()), failed()]
+    figures = write_summary(rows, tmp_path)
+    assert json.loads((tmp_path / SUMMARY).read_text()) == figures
+    assert (tmp_path / CONFUSION).read_bytes().startswith(b"\x89PNG")
+    console = Console(width=120, record=True)
+    for table in tables(figures, "3 cases"):
+        console.print(table)
+    text = console.export_text()
+    assert "1 of 2 (0.09 to 0.91)" in text and "SINDy" in text and "payload" in text
