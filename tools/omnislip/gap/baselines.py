@@ -10,21 +10,23 @@ SINDy       Sparse regression of the discrepancy (Brunton, Proctor, Kutz, PNAS 2
             2019): accelerations of shafts and body from the filtered speeds, as means over
             `SPAN_ROWS` rows, minus those of the refitted model, on terms with PySINDy's
             thresholded least squares, and stepwise ones that drop the weakest term (Boninsegna et
-            al. 2018). Of all thresholds and numbers of terms the model wins that replays the
-            validation runs best. What changes no acceleration at once (lags, sensors) has no term.
-ridge       All terms at once on the innovations; lambda by cross-validation over runs, the largest
-            within one standard error of the best (Breiman et al. 1984). An effect is named that
-            gives `NAMED_SHARE` of what all of them explain.
+            al. 2018). What changes no acceleration at once (sensors, delay, drift) has no term.
+ridge       All terms at once on the innovations. An effect is named that gives `NAMED_SHARE` of
+            what all of them explain.
 
 A term of SINDy and ridge is the secant of one effect of the catalogue at its typical size, free of
 what the keys explain: the library has the right forms and their names, as good a library as can
 be. Of an effect with a shape (period, place) it holds the one start that alone promises most; what
-is infinite when absent (stiffness, limit) is not linear and has no term. Every method gets the runs
-that the workflow made of the logs (gates passed, cut at pushes), its split and its refitted model.
+is infinite when absent (stiffness, limit) is not linear and has no term. Thresholds, numbers of
+terms and lambda are chosen by cross-validation over runs, the simplest within one standard error of
+the best (Breiman et al. 1984); the effects that are named are then refitted with all keys.
+
+Every method gets the runs that the workflow made of the logs (gates passed, cut at pushes) and its
+refitted model, and names at most `MOST_EFFECTS`.
 """
 
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib.util import find_spec
@@ -40,9 +42,9 @@ from omnislip.gap.inference import (
     Data,
     Fit,
     Hypothesis,
-    absorbed,
     fit,
     fit_more,
+    free_of_fitted,
 )
 from omnislip.gap.machine import Candidate, Machine
 from omnislip.gap.metrics import WINDOW_S, gap_table, replay_all
@@ -60,7 +62,7 @@ Array = npt.NDArray[np.float64]
 Pair = tuple[str, int | None]
 
 METHODS = ("base refit", "BIC", "SINDy", "ridge")
-REFITS, ITERATIONS, MOST_EFFECTS = 4, 3, 3
+REFITS, ITERATIONS, MOST_EFFECTS = 3, 3, 3
 """Three effects are two and a friction curve: no case hides more."""
 SPAN_ROWS = 8
 SHAFTS_AND_BODY = (0, 1, 2, 3, 8, 9, 10)
@@ -100,9 +102,7 @@ def ask_baselines(
     return {
         "base refit": _free_refit(data),
         "BIC": _lowest_criterion(OpenLoop(machine, runs, noise, values), refit),
-        "SINDy": _sparse(
-            Accelerations(machine, split.fitting, noise, values), refit, split.validation
-        ),
+        "SINDy": _sparse(Accelerations(machine, runs, noise, values), data, refit),
         "ridge": _ridge(data, refit),
     }
 
@@ -270,51 +270,26 @@ class Library:
     """
 
     def __init__(self, data: Data, base: Fit) -> None:
-        self.base, self.machine = base, data.machine
         self.effects = screen(data, base, [c for c in _candidates(data) if _linear(data, c)])
         flat = base.hypothesis.flat(data.believed)
         points, owner = [], []
         for number, one in enumerate(self.effects):
             for unit in np.eye(len(one.candidate.amplitudes)):
-                sizes = _sizes(self.machine, one, unit)
-                points.append(self.machine.with_effect(flat, one.candidate, sizes))
+                sizes = _sizes(data.machine, one, unit)
+                points.append(data.machine.with_effect(flat, one.candidate, sizes))
                 owner.append(number)
         secants = (data.residuals(np.stack(points)) - base.residual).T
-        self._absorbed = absorbed(base, secants)
-        free = self._absorbed.rest(base.jacobian, secants)
-        self._deviation = np.sqrt(np.mean(free**2, axis=0))
-        self._shows = self._deviation > 0
-        self.owner = np.array(owner)[self._shows]
-        self.columns = free[:, self._shows] / self._deviation[self._shows]
+        free = free_of_fitted(base, secants)
+        deviation = np.sqrt(np.mean(free**2, axis=0))
+        shows = deviation > 0
+        self.owner = np.array(owner)[shows]
+        self.columns = free[:, shows] / deviation[shows]
 
-    def model(self, weights: Array) -> Array:
-        """Return the parameter set that has so much of each term, its keys moved as they go."""
-        amounts = np.zeros(len(self._shows))
-        amounts[self._shows] = weights / self._deviation[self._shows]
-        x = self.base.hypothesis.x.copy()
-        for index, step in zip(
-            self._absorbed.parameters, self._absorbed.weights @ amounts, strict=True
-        ):
-            p = self.base.hypothesis.parameters[index]
-            x[index] = np.clip(x[index] - step * p.scale, p.low, p.high)
-        values = self.base.hypothesis.flat(self.machine.believed, x)
-        edges = np.cumsum([len(one.candidate.amplitudes) for one in self.effects])
-        for one, own in zip(self.effects, np.split(amounts, edges[:-1]), strict=True):
-            if not own.any():
-                continue
-            sizes = _sizes(self.machine, one, own)
-            for index, (p, size) in enumerate(zip(one.candidate.parameters, sizes, strict=True)):
-                places = list(p.places)
-                if index in one.candidate.amplitudes:  # of one wheel beside that of all
-                    size = values[places] + size - self.machine.believed[places]
-                values[places] = np.clip(size, p.low, p.high)
-        return values
-
-    def named(self, strength: Array, least: float) -> tuple[Pair, ...]:
-        """Return the effects whose terms are together stronger than `least`, strongest first."""
-        sums = np.bincount(self.owner, strength, len(self.effects))
-        strong = [k for k in np.argsort(-sums) if sums[k] > least]
-        return _named([self.effects[k].candidate for k in strong])
+    def strongest(self, gains: Array, least: float) -> list[Screened]:
+        """Return the effects whose terms together gain more than `least`, strongest first."""
+        sums = np.bincount(self.owner, gains, len(self.effects))
+        order = [k for k in np.argsort(-sums) if sums[k] > least]
+        return [self.effects[k] for k in order[:MOST_EFFECTS]]
 
 
 def _linear(data: Data, candidate: Candidate) -> bool:
@@ -328,53 +303,75 @@ def _named(effects: Iterable[Candidate]) -> tuple[Pair, ...]:
     return tuple((effect.effect, effect.wheel) for effect in ordered)
 
 
-def _sparse(data: Accelerations, refit: Hypothesis, validation: Sequence[Run]) -> Answer:
+def _sparse(data: Accelerations, innovations: Data, refit: Hypothesis) -> Answer:
     from pysindy import SSR, STLSQ
+
+    def models(gram: Array, right: Array) -> list[Array]:
+        squares, axes = np.linalg.eigh(gram)  # terms and target with these products
+        root = np.sqrt(np.maximum(squares, 1e-9 * squares[-1]))
+        terms, target = root[:, None] * axes.T, (axes.T @ right / root)[:, None]
+        size = RIDGE * len(data.blocks)
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "Sparsity parameter is too big")  # names nothing
+            found = [STLSQ(threshold=t, alpha=size).fit(terms, target).coef_ for t in THRESHOLDS]
+        stepwise = SSR(alpha=size, max_iter=len(gram)).fit(terms, target)
+        found += stepwise.history_[-MOST_TERMS:]  # one term less each
+        return [np.ravel(weights) for weights in found]
 
     base = fit(data, refit, iterations=0)
     library = Library(data, base)
-    # Least squares sees only products of columns; the triangle of their QR has the same.
-    triangle = np.linalg.qr(np.column_stack([library.columns, -base.residual]), mode="r")
-    terms, target = triangle[:, :-1], triangle[:, -1:]
-    size = RIDGE * len(base.residual)
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Sparsity parameter is too big")  # none is an answer, too
-        found = [STLSQ(threshold=one, alpha=size).fit(terms, target).coef_ for one in THRESHOLDS]
-    stepwise = SSR(alpha=size, max_iter=terms.shape[1]).fit(terms, target)
-    found += stepwise.history_[-MOST_TERMS:]  # one term less each
-    answers = [Answer(library.named(w**2, 0.0), library.model(w)) for w in map(np.ravel, found)]
-    sets = [refit.flat(data.believed), *(answer.values for answer in answers)]
-    errors = replay_errors(data.machine, validation, data.noise, sets)[1:]
-    return answers[int(np.argmin(errors))]
+    gains = _cross_validated(data, base, library, models)
+    return _refitted(innovations, refit, library.strongest(gains, 0.0))
 
 
 def _ridge(data: Data, refit: Hypothesis) -> Answer:
+    def models(gram: Array, right: Array) -> list[Array]:
+        sizes = LAMBDAS * len(data.blocks)
+        return [np.linalg.solve(gram + size * np.eye(len(gram)), right) for size in sizes]
+
     base = fit(data, refit)
     library = Library(data, base)
-    grams, rights = [], []
-    for columns, residual in zip(
-        data.per_run(library.columns), data.per_run(base.residual), strict=True
-    ):
-        grams.append(columns.T @ columns)
-        rights.append(-columns.T @ residual)
-    gram, right = np.sum(grams, axis=0), np.sum(rights, axis=0)
+    gains = _cross_validated(data, base, library, models)
+    return _refitted(data, refit, library.strongest(gains, NAMED_SHARE * np.sum(gains)))
 
-    def weights(size: float, gram: Array, right: Array) -> Array:
-        return np.linalg.solve(gram + size * len(base.residual) * np.eye(len(gram)), right)
 
-    changes = np.zeros((len(LAMBDAS), len(grams)))  # of the square error, by run left out
-    for k, size in enumerate(LAMBDAS):
-        for run, (own_gram, own_right) in enumerate(zip(grams, rights, strict=True)):
-            w = weights(size, gram - own_gram, right - own_right)
-            changes[k, run] = w @ own_gram @ w - 2 * w @ own_right
-    means = np.mean(changes, axis=1)
+def _cross_validated(
+    data: Data, base: Fit, library: Library, models: Callable[[Array, Array], list[Array]]
+) -> Array:
+    """Return what each term gains in the model that predicts runs left out.
+
+    `models` gives weights of several models from the products of the terms with each other and
+    with the target. Of those within one standard error of the best the one of the smallest weights
+    is taken, or none where none is surely better than nothing.
+    """
+    columns, targets = data.per_run(library.columns), data.per_run(-base.residual)
+    grams = np.stack([c.T @ c for c in columns])
+    rights = np.stack([c.T @ t for c, t in zip(columns, targets, strict=True)])
+    gram, right = grams.sum(axis=0), rights.sum(axis=0)
+    changes = np.array(  # of the square error (run, model)
+        [
+            [w @ own @ w - 2 * w @ seen for w in models(gram - own, right - seen)]
+            for own, seen in zip(grams, rights, strict=True)
+        ]
+    )
+    means = changes.mean(axis=0)
     best = int(np.argmin(means))
-    error = np.std(changes[best], ddof=1) / np.sqrt(len(grams))
-    w = weights(LAMBDAS[np.flatnonzero(means <= means[best] + error)[-1]], gram, right)
-    if means[best] + error >= 0:  # no better than none at all
-        w = np.zeros_like(w)
-    gains = w * (2 * right - gram @ w)
-    return Answer(library.named(gains, NAMED_SHARE * np.sum(gains)), library.model(w))
+    enough = means[best] + changes[:, best].std(ddof=1) / np.sqrt(len(grams))
+    if enough >= 0:
+        return np.zeros(len(right))
+    good = [w for w, mean in zip(models(gram, right), means, strict=True) if mean <= enough]
+    smallest = min(good, key=lambda w: np.sum(np.abs(w)))
+    return smallest * (2 * right - gram @ smallest)
+
+
+def _refitted(data: Data, refit: Hypothesis, effects: Sequence[Screened]) -> Answer:
+    """Return the model of the named effects, fitted to the innovations with all keys."""
+    model = refit
+    for one in effects:
+        sizes = _sizes(data.machine, one, one.start[list(one.candidate.amplitudes)])
+        model = model.with_effect(one.candidate, sizes)
+    values = fit(data, model, ITERATIONS).hypothesis.flat(data.believed)
+    return Answer(_named([one.candidate for one in effects]), values)
 
 
 def replay_errors(
