@@ -221,24 +221,24 @@ def _sizes(machine: Machine, one: Screened, amounts: Sequence[float]) -> Array:
     for amount, index in zip(amounts, one.candidate.amplitudes, strict=True):
         p = one.candidate.parameters[index]
         absent = machine.believed[p.places[0]]
-        if np.isfinite(absent):
-            sizes[index] = absent + amount * p.scale * machine.sign_of(
-                one.candidate.effect, p.label
-            )
+        if np.isfinite(absent):  # else the size that it was screened with
+            sign = machine.sign_of(one.candidate.effect, p.label)
+            sizes[index] = absent + amount * p.scale * sign
     parameters = one.candidate.parameters
     return np.clip(sizes, [p.low for p in parameters], [p.high for p in parameters])
+
+
+def _with_screened(data: Data, model: Hypothesis, one: Screened) -> Hypothesis:
+    """Return the model with one more effect, as large as the screen has it."""
+    amounts = one.start[list(one.candidate.amplitudes)]
+    return model.with_effect(one.candidate, _sizes(data.machine, one, amounts))
 
 
 def _lowest_criterion(data: OpenLoop, refit: Hypothesis) -> Answer:
     current, candidates = fit(data, refit, ITERATIONS), _candidates(data)
     while len(current.hypothesis.effects) < MOST_EFFECTS:
         screened = screen(data, current, candidates)[:NEIGHBOURS]
-        starts = [
-            current.hypothesis.with_effect(
-                one.candidate, _sizes(data.machine, one, one.start[list(one.candidate.amplitudes)])
-            )
-            for one in screened[:REFITS]
-        ]
+        starts = [_with_screened(data, current.hypothesis, one) for one in screened[:REFITS]]
         quick = min(fit_more(data, current, starts, ITERATIONS), key=lambda one: one.objective)
         best = fit(data, quick.hypothesis, ITERATIONS)
         count = _independent(data, current.residual)
@@ -368,8 +368,7 @@ def _refitted(data: Data, refit: Hypothesis, effects: Sequence[Screened]) -> Ans
     """Return the model of the named effects, fitted to the innovations with all keys."""
     model = refit
     for one in effects:
-        sizes = _sizes(data.machine, one, one.start[list(one.candidate.amplitudes)])
-        model = model.with_effect(one.candidate, sizes)
+        model = _with_screened(data, model, one)
     values = fit(data, model, ITERATIONS).hypothesis.flat(data.believed)
     return Answer(_named([one.candidate for one in effects]), values)
 
