@@ -14,6 +14,7 @@ from omnislip.gap.benchmark_summary import (
     by_effect,
     by_group,
     by_method,
+    sections,
     share,
     summary,
     tables,
@@ -145,3 +146,8 @@ def test_everything_is_written_drawn_and_printed(tmp_path):
         console.print(table)
     text = console.export_text()
     assert "1 of 2 (0.09 to 0.91)" in text and "SINDy" in text and "payload" in text
+
+
+def test_a_section_without_rows_is_no_table():
+    nulls = [row("null", (), ())]
+    assert len(tables(sections(nulls), "1 case")) == 3

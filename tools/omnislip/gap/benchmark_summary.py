@@ -183,7 +183,7 @@ def _mean(values: Sequence[float]) -> Numbers:
 
 
 def tables(figures: dict[str, dict[str, Any]], title: str) -> list[Table]:
-    """Return one table per section."""
+    """Return one table per section that holds anything."""
     first = Table("figure", "reached", "interval", "cases", title=f"{title}, 95 % intervals")
     for name, one in figures["summary"].items():
         if one["value"] is not None:
@@ -194,7 +194,8 @@ def tables(figures: dict[str, dict[str, Any]], title: str) -> list[Table]:
         "effects": "found, by hidden effect (unknown ones: flagged)",
         "methods": "methods on the same logs; replay error in noise floors, held-out runs",
     }
-    return [first, *(_table(figures[key], text) for key, text in headings.items())]
+    rest = [_table(figures[key], text) for key, text in headings.items() if figures[key]]
+    return [first, *rest]
 
 
 def _table(section: dict[str, dict[str, Numbers]], title: str) -> Table:
