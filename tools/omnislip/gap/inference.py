@@ -205,25 +205,26 @@ def fit(data: Data, hypothesis: Hypothesis, iterations: int = 10) -> Fit:
     high = np.array([p.high for p in hypothesis.parameters])
     count = len(hypothesis.base)
     current = hypothesis
-    best = float(objective(data, current, current.x[None])[0])
+    residual, jacobian = linearise(data, current)
+    best = _cost(data, current, residual)
     for _ in range(iterations):
-        residual, jacobian = linearise(data, current)
         z = prior_penalty(current, data.believed, current.x)
         gram = jacobian.T @ jacobian
         gram[:count, :count] += np.eye(count)
         slope = jacobian.T @ residual
         slope[:count] += z
         step = _solve_within(gram, slope, (low - current.x) / scale, (high - current.x) / scale)
-        trials = np.clip(current.x + np.outer(STEPS, step * scale), low, high)
-        costs = objective(data, current, trials)
+        rows = np.clip(current.x + np.outer(STEPS, step * scale), low, high)
+        trials = [replace(current, x=row) for row in rows]
+        found = data.residuals(np.stack([t.flat(data.believed) for t in trials]))
+        costs = [_cost(data, t, r) for t, r in zip(trials, found, strict=True)]
         pick = int(np.argmin(costs))
         gained = best - costs[pick]
         if gained > 0:
-            best = float(costs[pick])
-            current = replace(current, x=trials[pick])
+            current, best, residual = trials[pick], costs[pick], found[pick]
         if gained < CONVERGED:
-            break
-    residual, jacobian = linearise(data, current)
+            break  # so near that the derivative is still that of the optimum
+        residual, jacobian = linearise(data, current)
     return Fit(current, best, residual, jacobian)
 
 
