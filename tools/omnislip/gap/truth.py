@@ -440,10 +440,12 @@ def random_case(
     _check_choice("composition", composition, COMPOSITIONS)
     rng = np.random.default_rng([seed, _STREAM_CASE])
     sensors = [("gyro",), ("gyro", "pose"), SENSORS][int(rng.integers(0, 3))]
-    effects = [
-        draw_effect(rng, name, f"run_{rng.integers(1, 9):02d}")
-        for name in names or _draw_names(rng, composition)
-    ]
+    effects = []
+    for name in names or _draw_names(rng, composition):
+        drawn = int(rng.integers(1, 9))
+        runs = [f"run_{(drawn - 1 + k) % 8 + 1:02d}" for k in range(8)]
+        free = [run for run in runs if run not in [effect.run for effect in effects]]
+        effects.append(draw_effect(rng, name, free[0]))
     for effect in effects:
         need = (EFFECTS | UNKNOWN_EFFECTS)[effect.name].needs
         if need and need not in sensors:
