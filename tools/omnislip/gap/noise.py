@@ -3,7 +3,9 @@
 The extended Kalman filter of the engine needs variances: per second for the states that the world
 pushes at random (shaft speeds, body velocity, yaw rate), per sample for each sensor. They are
 fitted by maximum likelihood of the innovations. The sizes start from the data: second differences
-of a sensor hold its noise and hardly any motion.
+of a sensor hold its noise and hardly any motion. The sensors of a robot stay near what these show:
+a model that is far off would else be blamed on them, and with sensors that nobody believes no
+missing effect can be seen.
 """
 
 from collections.abc import Callable, Sequence
@@ -30,6 +32,11 @@ COLOUR_RATES_1_S = (40.0, 600.0)
 """What lasts longer is physics to be named; what is shorter is white."""
 LEAST = 5.0
 """How far a logarithm may fall below its guess: below that a variance no longer matters."""
+SENSOR_MARGIN = 2.0
+"""How far that of a sensor may be beyond its second differences at rest and in motion: errors that
+last hardly show in these (a factor of 2.7 in the standard deviation)."""
+QUIET, WINDOW_ROWS = 10.0, 20
+"""A sensor at rest: percentile of the variances of windows."""
 STEP_S = 2.5e-3
 """Integration step of predictions: against 0.1 ms it changes whitened innovations by 0.001."""
 CONVERGED = 3.0
@@ -98,10 +105,19 @@ def track_recordings(
     )
 
 
+@dataclass(frozen=True)
+class Guess:
+    """Logarithms of the variances before they are fitted, and how far they may move."""
+
+    logs: Array
+    low: Array
+    high: Array
+
+
 def first_guess(machine: Machine, runs: Sequence[Run]) -> Noise:
     """Return the noise that the sensors' second differences and experience suggest."""
     make, start = NOISES[machine.kind]
-    return make(machine, start(runs))
+    return make(machine, start(runs).logs)
 
 
 def tune_noise(
@@ -116,7 +132,7 @@ def tune_noise(
     chosen = _some_runs(runs)
     make, start_of = NOISES[machine.kind]
     guess = start_of(chosen)
-    logs = trial = guess if start is None else start.logs
+    logs = trial = guess.logs if start is None else np.clip(start.logs, guess.low, guess.high)
     best = -np.inf
     for _ in range(PATHS):
         path = _Path(machine, chosen, values, lambda v: make(machine, v), guess, trial)
@@ -141,7 +157,7 @@ class _Path:
         runs: Sequence[Run],
         values: Array,
         make: Callable[[Array], Noise],
-        guess: Array,
+        guess: Guess,
         logs: Array,
     ) -> None:
         self._engine, self._make, self._guess = machine.engine, make, guess
@@ -159,7 +175,7 @@ class _Path:
             for k in range(TRIALS):
                 damped = information + damping * 5.0**k * np.diag(np.diag(information))
                 step = np.clip(np.linalg.solve(damped, slope), -2.0, 2.0)
-                trials.append(np.maximum(logs + step, self._guess - LEAST))
+                trials.append(np.clip(logs + step, self._guess.low, self._guess.high))
             totals, _ = self._look(np.array(trials))
             best = int(np.argmax(totals))
             gained = float(totals[best]) - here
@@ -188,7 +204,7 @@ class _Path:
         return totals - self._pull(many), np.concatenate(covariance, axis=1)
 
     def _pull(self, logs: Array) -> Array:
-        return np.sum((logs - self._guess) ** 2, axis=-1) * PULL / 2
+        return np.sum((logs - self._guess.logs) ** 2, axis=-1) * PULL / 2
 
     def _score(self, logs: Array) -> tuple[float, Array, Array]:
         """Return log-likelihood, its slope and the information at `logs`.
@@ -216,32 +232,63 @@ def _some_runs(runs: Sequence[Run]) -> list[Run]:
     return [runs[k] for k in np.linspace(0, len(runs) - 1, count).round().astype(int)]
 
 
-def _difference_variance(values: Array) -> float:
-    """Variance of white noise from its second differences (6 times as large); median, robust."""
-    sampled = values[~np.isnan(values)]
-    second = np.diff(sampled, 2)
-    return float(np.median(np.abs(second)) ** 2 / 0.6745**2 / 6.0) if second.size else 0.0
+def _second_differences(values: Array) -> Array:
+    """Second differences of a sensor over their standard deviation for white noise of 1."""
+    return np.diff(values[~np.isnan(values)], 2) / np.sqrt(6.0)
 
 
 def _median_variance(runs: Sequence[Run], columns: Sequence[int], least: float) -> float:
-    found = [_difference_variance(run.outputs[:, c]) for run in runs for c in columns]
+    """Variance of the white noise of sensors; by medians, robust."""
+    found = [
+        float(np.median(np.abs(second)) ** 2 / 0.6745**2) if second.size else 0.0
+        for run in runs
+        for c in columns
+        for second in [_second_differences(run.outputs[:, c])]
+    ]
     return max(float(np.median(found)), least)
 
 
-def _robot_start(runs: Sequence[Run]) -> Array:
-    gyro = _median_variance(runs, [GYRO], 1e-7)
-    place = _median_variance(runs, [5, 6], 1e-8)
-    heading = _median_variance(runs, [HEADING], 1e-8)
+def _quiet_variance(runs: Sequence[Run], columns: Sequence[int], least: float) -> float:
+    """The same from where the sensors are quietest: motion has no part in it."""
+    windows = []
+    for run in runs:
+        for c in columns:
+            second = _second_differences(run.outputs[:, c])
+            count = len(second) // WINDOW_ROWS
+            windows.append(second[: count * WINDOW_ROWS].reshape(count, WINDOW_ROWS))
+    variances = np.mean(np.concatenate(windows) ** 2, axis=1)
+    return max(float(np.percentile(variances, QUIET)), least) if variances.size else least
+
+
+def _resolution_variance(runs: Sequence[Run], columns: Sequence[int]) -> float:
+    """Variance of rounding to the sensors' least step."""
+    steps = np.concatenate([np.abs(np.diff(run.outputs[:, c])) for run in runs for c in columns])
+    moved = steps[steps > 1e-9]
+    return float(moved.min()) ** 2 / 12 if moved.size else 0.0
+
+
+def _robot_start(runs: Sequence[Run]) -> Guess:
+    sensors = [([GYRO], 1e-7), ([5, 6], 1e-8), ([HEADING], 1e-8)]
+    if runs[0].outputs.shape[1] > SUPPLY:
+        sensors += [([SUPPLY], 1e-5), (range(CURRENT.start, CURRENT.stop), 1e-4)]
+    least = [max(floor, _resolution_variance(runs, columns)) for columns, floor in sensors]
+    seen = [
+        (_median_variance(runs, columns, floor), _quiet_variance(runs, columns, floor))
+        for (columns, _), floor in zip(sensors, least, strict=True)
+    ]
+    moving, quiet = np.log(seen).T
     # A 1 N push on 20 kg for 20 ms at random; 1 % of a motor's stall acceleration likewise.
     # Times are written with 0.01 to 1 ms; commands are mostly held from row to row.
     # Half of the random force lasts from row to row, for some 10 ms.
     half = 0.5 * COLOUR_RATE_1_S
-    start = [100.0, 1e-3, 1e-2, gyro, place, heading, 1e-9, 1.0]
-    start += [100.0 * half, 1e-3 * half, 1e-2 * half, COLOUR_RATE_1_S]
-    if runs[0].outputs.shape[1] > SUPPLY:
-        start += [_median_variance(runs, [SUPPLY], 1e-5)]
-        start += [_median_variance(runs, range(CURRENT.start, CURRENT.stop), 1e-4)]
-    return np.log(start)
+    pushes, rows = [100.0, 1e-3, 1e-2], [1e-9, 1.0]
+    lasting = [100.0 * half, 1e-3 * half, 1e-2 * half, COLOUR_RATE_1_S]
+    logs = np.concatenate([np.log(pushes), moving[:3], np.log(rows + lasting), moving[3:]])
+    low, high = logs - LEAST, np.full(len(logs), np.inf)
+    places = [3, 4, 5, *range(12, len(logs))]
+    low[places] = np.minimum(quiet, moving) - SENSOR_MARGIN
+    high[places] = moving + SENSOR_MARGIN
+    return Guess(logs, low, high)
 
 
 def _robot_noise(machine: Machine, logs: Array) -> Noise:
@@ -294,11 +341,17 @@ def stall_acceleration_rad_s2(machine: Machine) -> float:
     )
 
 
-def _axis_start(runs: Sequence[Run]) -> Array:
+def _free(variances: Sequence[float]) -> Guess:
+    """Guesses of variances that may become as large as they like."""
+    logs = np.log(variances)
+    return Guess(logs, logs - LEAST, np.full(len(logs), np.inf))
+
+
+def _axis_start(runs: Sequence[Run]) -> Guess:
     place = _median_variance(runs, [0], 1e-18)
     step_s = float(np.median(np.diff(runs[0].t_s)))
     # Speed that the noise of two positions would feign, gained within 50 rows.
-    return np.log([place / step_s**2 / (50 * step_s), place])
+    return _free([place / step_s**2 / (50 * step_s), place])
 
 
 def _axis_noise(machine: Machine, logs: Array) -> Noise:
@@ -307,11 +360,11 @@ def _axis_noise(machine: Machine, logs: Array) -> Noise:
     return Noise(process, output, np.array([place * 1e6, place]), 0.0, 0.0, logs)
 
 
-def _odometry_start(runs: Sequence[Run]) -> Array:
+def _odometry_start(runs: Sequence[Run]) -> Guess:
     place = _median_variance(runs, [0, 1], 1e-10)
     heading = _median_variance(runs, [2], 1e-10)
     # A millimetre and a third of a degree gone astray in a second.
-    return np.log([1e-6, 3e-5, place, heading])
+    return _free([1e-6, 3e-5, place, heading])
 
 
 def _odometry_noise(machine: Machine, logs: Array) -> Noise:
