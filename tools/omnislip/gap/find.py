@@ -160,7 +160,8 @@ def find_gap(
         reason = logged_set_points(machine, logs, outcome.final.hypothesis.flat(machine.believed))
         if reason:
             return _insufficient(machine, logs, reason, inputs)
-    if not (outcome.selected or wiring or impacts or outcome.leftover):
+    something = outcome.selected or outcome.leftover or _refused(outcome) > REFUSED_GAIN
+    if not (something or wiring or impacts):
         reason = too_poor(machine, outcome.limits)
         if reason:
             return _insufficient(machine, logs, reason, inputs)
