@@ -273,6 +273,34 @@ def fit_more(
     ]
 
 
+def costs_refitted(data: Data, current: Fit, models: Sequence[Hypothesis]) -> Array:
+    """Return Q (models,) after one linear step of what the models share with `current`.
+
+    A start has to be judged so: the keys of a model without an effect have gone far to replace it.
+    """
+    shared = current.jacobian.T @ current.jacobian
+    base = len(current.hypothesis.base)
+    shared[:base, :base] += np.eye(base)
+    count = current.jacobian.shape[1]
+    scale = np.array([p.scale for p in current.hypothesis.parameters])
+    low = (np.array([p.low for p in current.hypothesis.parameters]) - current.hypothesis.x) / scale
+    high = (
+        np.array([p.high for p in current.hypothesis.parameters]) - current.hypothesis.x
+    ) / scale
+    costs = np.empty(len(models))
+    for first in range(0, len(models), BATCH):
+        batch = models[first : first + BATCH]
+        residuals = data.residuals(np.stack([m.flat(data.believed) for m in batch]))
+        slopes = residuals @ current.jacobian
+        for k, (model, residual) in enumerate(zip(batch, residuals, strict=True)):
+            z = prior_penalty(model, data.believed, model.x)
+            slope = slopes[k]
+            slope[:base] += z
+            step = _solve_within(shared, slope, low, high)[:count]
+            costs[first + k] = residual @ residual + z @ z + 2 * step @ slope + step @ shared @ step
+    return costs
+
+
 def _cost(data: Data, hypothesis: Hypothesis, residual: Array) -> float:
     z = prior_penalty(hypothesis, data.believed, hypothesis.x)
     return float(residual @ residual + z @ z)

@@ -62,6 +62,7 @@ NEEDS = {"pendulum_zero_error": "axis.pendulum_mass_kg"}
 """Effects of what a machine may not have, and the key that says it has it."""
 PHASE = "phase_rad"
 POSE_X, LEAST_POSES = 5, 50
+PLACES = 25
 # A size that is infinite when absent (stiffness, limit) is sought up to so many typical ones: a
 # gear ten times stiffer shows in no log and would be integrated in tiny steps.
 MOST_OF_ABSENT = 10.0
@@ -89,6 +90,8 @@ class Candidate:
     """Which of `parameters` are zero-able sizes; the others shape the effect."""
     starts: tuple[dict[int, float], ...] = field(default=({},))
     """Values of the shaping parameters to start a fit from, by index into `parameters`."""
+    edges_m: tuple[float, ...] = ()
+    """Places (world x) at which a patch in the floor may begin or end."""
 
     @property
     def name(self) -> str:
@@ -160,7 +163,12 @@ class Machine:
         entries = {p["name"]: p for p in self.catalogue["slippery_patch"]["parameters"]}
         parameters = [self._effect_parameter("slippery_patch", entries[n], None) for n in labels]
         starts = tuple({0: float(a), 1: float(b)} for a, b in spans if b - a < edges[-1] - edges[0])
-        return [Candidate("slippery_patch", None, tuple(parameters), (2,), starts)]
+        places = np.linspace(edges[0], edges[-1], PLACES)
+        return [
+            Candidate(
+                "slippery_patch", None, tuple(parameters), (2,), starts, tuple(places.tolist())
+            )
+        ]
 
     def extensions(self, effect: str) -> list[Candidate]:
         """Return what refines an effect that is already in the model: not an effect of its own."""

@@ -27,6 +27,7 @@ from omnislip.gap.inference import (
     Evidence,
     Fit,
     Hypothesis,
+    costs_refitted,
     fit,
     fit_more,
     free_of_fitted,
@@ -44,6 +45,7 @@ Progress = Callable[[str], None]
 
 ALPHA = 0.01
 LEAST_SHARE = 0.01
+SHAPE_SHARE = 1e-3
 MOST_EFFECTS, MOST_STEPS = 4, 6
 NEIGHBOURS, RIVALS = 16, 4
 REFITS = 12
@@ -60,6 +62,10 @@ VALIDATION_SHARE = 0.75
 SCATTER_P_VALUE = 0.01
 SHORTEST_LAG_ROWS = 0.1
 MOST_ERROR = 8.0
+HOPEFUL_GAIN = 100.0
+"""Gain beyond chance of a refused effect from which it is worth looking one step ahead."""
+BEAM, BEAM_REFITS = 3, 6
+PATCH_SCALES = (0.3, 0.5, 0.7, 0.9)
 
 
 @dataclass(frozen=True)
@@ -137,19 +143,26 @@ def search(
         worth = [s for s in screened[:REFITS] if s.promise > LEAST_PROMISE]
         found = _try(data, checks, current, worth, step, tried, gained, progress)
         trials += [trial for trial, _ in found]
-        accepted = [(trial, fitted) for trial, fitted in found if trial.accepted]
-        if not accepted:
+        accepted = next((fitted for trial, fitted in found if trial.accepted), None)
+        if accepted is None and len(current.hypothesis.effects) + 2 <= MOST_EFFECTS:
+            ahead = _Ahead(data, checks, current, candidates, step, tried, gained, progress)
+            accepted = ahead.best_pair(found)
+            trials += ahead.trials
+        if accepted is None:
             break
-        trial, fitted = accepted[0]
-        without = fit(data, fitted.hypothesis.without(len(current.hypothesis.effects)))
-        if without.objective < current.objective - CONVERGED * max(1.0, trial.evidence.gain):
+        gain = current.objective - accepted.objective
+        without = fit(
+            data, replace(current.hypothesis, x=accepted.hypothesis.x[: len(current.hypothesis.x)])
+        )
+        if without.objective < current.objective - CONVERGED * max(1.0, gain):
             current = without  # the gain was that of the keys, which had not settled
             continue
-        gained += trial.evidence.gain
-        neighbours[trial.candidate.name] = [s.candidate for s in screened[:NEIGHBOURS]]
-        candidates = [c for c in candidates if c.name != trial.candidate.name]
-        data, current = settle(machine, fitting, fitted.hypothesis, data.noise)
-        current = _extend(machine, data, current)
+        gained += gain
+        for fresh in accepted.hypothesis.effects[len(current.hypothesis.effects) :]:
+            neighbours[fresh.name] = [s.candidate for s in screened[:NEIGHBOURS]]
+            candidates = [c for c in candidates if c.name != fresh.name]
+        data, current = settle(machine, fitting, accepted.hypothesis, data.noise)
+        current = _patch_again(data, _extend(machine, data, current))
         current = _drop_needless(data, current, tried)
         current = _swap(data, current, neighbours, progress)
         if len(current.hypothesis.effects) == MOST_EFFECTS:
@@ -330,16 +343,19 @@ def _refit(data: Data, current: Fit, screened: Sequence[Screened]) -> list[Fit]:
     """
     if not screened:
         return []
-    pairs = [
+    offered = [
         [
             current.hypothesis.with_effect(one.candidate, sizes)
             for sizes in _starting_sizes(data.machine, one)
         ]
         for one in screened
     ]
-    flat = [m.flat(data.believed) for pair in pairs for m in pair]
-    costs = np.sum(data.residuals(np.stack(flat)) ** 2, axis=1).reshape(len(pairs), -1)
-    starts = [pair[int(np.argmin(c))] for pair, c in zip(pairs, costs, strict=True)]
+    costs = costs_refitted(data, current, [m for own in offered for m in own])
+    edges = np.cumsum([len(own) for own in offered])[:-1]
+    starts = [
+        own[int(np.argmin(c))] for own, c in zip(offered, np.split(costs, edges), strict=True)
+    ]
+    starts = [_edges_moved(data, current, start) for start in starts]
     fits = fit_more(data, current, starts)
     order = np.argsort([one.objective for one in fits])
     best = current.objective - fits[order[0]].objective
@@ -347,6 +363,26 @@ def _refit(data: Data, current: Fit, screened: Sequence[Screened]) -> list[Fit]:
         if current.objective - fits[k].objective > NEAR * best:
             fits[k] = fit(data, fits[k].hypothesis)
     return fits
+
+
+def _edges_moved(data: Data, current: Fit, start: Hypothesis) -> Hypothesis:
+    """Move the edges of a patch in the floor to where they explain most, in turn.
+
+    No derivative leads there: only rows at the edge itself have one. Other effects stay.
+    """
+    candidate = start.effects[-1]
+    if not candidate.edges_m:
+        return start
+    for edge in (0, 1, 0, 1):
+        offered = [start]
+        for place in candidate.edges_m:
+            for scale in PATCH_SCALES:
+                sizes = start.values_of(len(start.effects) - 1).copy()
+                sizes[edge], sizes[2] = place, scale
+                if sizes[0] < sizes[1]:
+                    offered.append(current.hypothesis.with_effect(candidate, sizes))
+        start = offered[int(np.argmin(costs_refitted(data, current, offered)))]
+    return start
 
 
 def _try(
@@ -387,6 +423,73 @@ def _try(
         gain = float(np.sum(gains))
         found.append((Trial(step, candidate, values, evidence, gain, reason, passed), fitted))
     return found
+
+
+class _Ahead:
+    """One step further where none was taken: two defects may each be refused without the other."""
+
+    def __init__(
+        self,
+        data: Data,
+        checks: Data,
+        current: Fit,
+        candidates: Sequence[Candidate],
+        step: int,
+        tried: int,
+        gained: float,
+        progress: Progress,
+    ) -> None:
+        self._data, self._checks, self._current = data, checks, current
+        self._candidates, self._step, self._tried = candidates, step, tried
+        self._gained, self._progress = gained, progress
+        self.trials: list[Trial] = []
+
+    def best_pair(self, refused: Sequence[tuple[Trial, Fit]]) -> Fit | None:
+        """Return the best model with two more effects, the first one of `refused`, or None."""
+        hopeful = [
+            (trial, fitted)
+            for trial, fitted in refused
+            if trial.evidence.gain / trial.evidence.inflation > HOPEFUL_GAIN
+        ]
+        hopeful = sorted(hopeful, key=lambda pair: pair[1].objective)[:BEAM]
+        pairs = [self._pair(trial.candidate, fitted) for trial, fitted in hopeful]
+        passed = [pair for pair in pairs if pair is not None]
+        return min(passed, key=lambda pair: pair.objective, default=None)
+
+    def _pair(self, candidate: Candidate, fitted: Fit) -> Fit | None:
+        data, checks, base = self._data, self._checks, self._current.hypothesis
+        first = fit(data, fitted.hypothesis)
+        others = [c for c in self._candidates if c.name != candidate.name]
+        worth = [s for s in screen(data, first, others)[:BEAM_REFITS] if s.promise > LEAST_PROMISE]
+        tried = self._tried * BEAM
+        self._progress(f"step {self._step}: looking ahead from {candidate.name}")
+        found = _try(data, checks, first, worth, self._step, tried, self._gained, self._progress)
+        self.trials += [trial for trial, _ in found]
+        second = next((fitted for trial, fitted in found if trial.accepted), None)
+        if second is None:
+            return None
+        pair = _patch_again(data, fit(data, second.hypothesis))
+        gains = _validation_gains(checks, base, pair.hypothesis)
+        if np.sum(gains) <= 0 or not helps_most(gains):
+            return None
+        if not _replays_better(checks, base, pair.hypothesis):
+            return None
+        count = len(base.effects)
+        for index in (count, count + 1):
+            without = fit(data, pair.hypothesis.without(index))
+            if weigh(data, without.objective, pair, index).p_value * tried >= ALPHA:
+                return None
+        return pair
+
+
+def _patch_again(data: Data, fitted: Fit) -> Fit:
+    """Move the edges of a patch again, beside the other effects of the model."""
+    for index, effect in enumerate(fitted.hypothesis.effects):
+        if effect.edges_m:
+            without = fit(data, fitted.hypothesis.without(index))
+            moved = fit(data, _edges_moved(data, without, fitted.hypothesis.moved_last(index)))
+            fitted = moved if moved.objective < fitted.objective else fitted
+    return fitted
 
 
 def _simplest_first(
@@ -501,17 +604,26 @@ def _extend(machine: Machine, data: Data, fitted: Fit) -> Fit:
 
 
 def _drop_needless(data: Data, fitted: Fit, tried: int) -> Fit:
-    """Drop the effects, weakest first, whose gain beside the others could be chance."""
+    """Drop effects, weakest first, that could be chance beside the others or what those leave.
+
+    No plant has an effect's shape exactly: what is off by 3 % in amplitude leaves `SHAPE_SHARE` of
+    its gain, for which other names are at hand.
+    """
     while fitted.hypothesis.effects:
-        weakest, rest = 0.0, fitted
-        for index in range(len(fitted.hypothesis.effects)):
-            without = fit(data, fitted.hypothesis.without(index))
-            p_value = weigh(data, without.objective, fitted, index).p_value
-            if p_value > weakest:
-                weakest, rest = p_value, without
-        if weakest * tried < ALPHA:
+        without = [
+            fit(data, fitted.hypothesis.without(index))
+            for index in range(len(fitted.hypothesis.effects))
+        ]
+        judged = [weigh(data, w.objective, fitted, index) for index, w in enumerate(without)]
+        most = max(one.gain for one in judged)
+        needless = [
+            index
+            for index, one in enumerate(judged)
+            if one.p_value * tried >= ALPHA or one.gain < SHAPE_SHARE * most
+        ]
+        if not needless:
             break
-        fitted = rest
+        fitted = without[min(needless, key=lambda index: judged[index].gain)]
     return fitted
 
 
