@@ -29,7 +29,8 @@ from omnislip.gap.metrics import (
 )
 from omnislip.gap.plan import Separation, separating_manoeuvre
 from omnislip.gap.recordings import ODOMETRY_CHANNELS, Run, machine_for, make_run
-from omnislip.gap.search import Outcome, Selected, first_model, search
+from omnislip.gap.search import HOPEFUL_GAIN, Outcome, Selected, first_model, search
+from omnislip.gap.unknown import Unknown, describe_unknown
 from omnislip.gap.where import Map, Place, describe, map_gap
 from omnislip.gap.wiring import find_wiring, mend
 from omnislip.log_file import Log, read_log
@@ -51,8 +52,6 @@ SERIES_TO_HOLD_OUT_WHOLE = 3
 UNKNOWN_SHARE = 0.03
 """A leftover term that gains more than this share of the named effects makes the verdict unknown:
 the names are right in place perhaps, but wrong in shape."""
-REFUSED_GAIN = 200.0
-"""A gain that no chance gives but that other runs refuse: something is there, under no name."""
 EXPLAINED = 0.9
 LEAST_EXCESS = 0.5
 """Excess of the square error, in noise floors, that counts as something left."""
@@ -105,6 +104,8 @@ class Findings:
     """What would tell an effect (by the name of its candidate) from those it is ambiguous with."""
     inputs: dict[str, str]
     """File name -> SHA-256 of the model and the logs."""
+    unknown: Unknown | None = None
+    """What an unknown effect looks like, where that can be said."""
 
 
 def find_gap(
@@ -160,7 +161,7 @@ def find_gap(
         reason = logged_set_points(machine, logs, outcome.final.hypothesis.flat(machine.believed))
         if reason:
             return _insufficient(machine, logs, reason, inputs)
-    something = outcome.selected or outcome.leftover or _refused(outcome) > REFUSED_GAIN
+    something = outcome.selected or outcome.leftover or _refused(outcome) > HOPEFUL_GAIN
     if not (something or wiring or impacts):
         reason = too_poor(machine, outcome.limits)
         if reason:
@@ -181,6 +182,10 @@ def find_gap(
     )
     places = describe(fitted, gap_map) if outcome.selected else []
     verdict = _verdict(outcome, table, bool(wiring or impacts))
+    unknown = None
+    if verdict == "unknown_effect":
+        progress("describing what is missing")
+        unknown = describe_unknown(outcome, split.fitting, split.validation)
     manoeuvres = {}
     for index, one in enumerate(outcome.selected):
         if one.rivals:
@@ -191,7 +196,8 @@ def find_gap(
             manoeuvres |= {one.candidate.name: best} if best else {}
     return Findings(
         verdict,
-        _sentence(verdict, machine, outcome, table, wiring, impacts) + _advice(manoeuvres),
+        _sentence(verdict, machine, outcome, table, wiring, impacts, unknown)
+        + _advice(manoeuvres),
         machine,
         split,
         outcome,
@@ -205,6 +211,7 @@ def find_gap(
         replays,
         manoeuvres,
         inputs,
+        unknown,
     )
 
 
@@ -219,7 +226,7 @@ def _verdict(outcome: Outcome, table: GapTable, mended: bool) -> str:
     """Name effects only if they explain what is to be explained."""
     named = sum(s.evidence.gain for s in outcome.selected)
     better_term = bool(outcome.leftover) and outcome.leftover[0].gain > UNKNOWN_SHARE * named
-    if better_term or _refused(outcome) > max(REFUSED_GAIN, named) or _much_is_left(table):
+    if better_term or _refused(outcome) > max(HOPEFUL_GAIN, named) or _much_is_left(table):
         return "unknown_effect"
     return "effect_found" if outcome.selected or mended else "no_gap"
 
@@ -385,6 +392,7 @@ def _sentence(
     table: GapTable,
     wiring: Sequence[Effect],
     impacts: Sequence[Impact],
+    unknown: Unknown | None,
 ) -> str:
     """Return the verdict as one sentence with numbers."""
     if verdict == "no_gap":
@@ -394,7 +402,10 @@ def _sentence(
     parts += [_effect_words(machine, s) for s in outcome.selected]
     if verdict == "unknown_effect":
         text = "Something is missing that is none of the known effects"
-        if outcome.leftover:
+        if unknown:
+            text += f": {unknown.equation}, depending on {unknown.dependence}"
+            text += f" (hypothesis: {unknown.formula})"
+        elif outcome.leftover:
             term = outcome.leftover[0]
             text += f": {term.equation}, depending on {term.dependence}"
         text += "."
@@ -495,6 +506,7 @@ def to_json(findings: Findings) -> dict[str, Any]:
             }
             for u in (outcome.leftover if outcome else ())
         ],
+        "unknown_curve": _curve_json(findings.unknown) if findings.unknown else None,
         "gap": _table_json(table) if table else None,
         "steps": [
             {"model": s.name, "held_out": s.rmse, "relative_force_error": s.force_error}
@@ -508,6 +520,19 @@ def to_json(findings: Findings) -> dict[str, Any]:
             "validation": _names(findings.split.validation),
         },
         "inputs_sha256": findings.inputs,
+    }
+
+
+def _curve_json(unknown: Unknown) -> dict[str, Any]:
+    return {
+        "equation": unknown.equation,
+        "dependence": unknown.dependence,
+        "x": {"label": unknown.x_label, "values": unknown.x.tolist()},
+        "y": {"label": unknown.y_label, "values": unknown.y.tolist()},
+        "deviation": unknown.deviation.tolist(),
+        "gain": unknown.gain,
+        "validation_gain": unknown.validation_gain,
+        "hypothesis": {"formula": unknown.formula, "share_of_curve": unknown.formula_share},
     }
 
 

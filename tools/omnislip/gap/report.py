@@ -78,6 +78,7 @@ def render(findings: Findings, command_line: str) -> str:
             name=findings.machine.model.name or findings.machine.kind,
             added_text=_added_text(findings),
             effects=_effects(findings, numbers),
+            curve=report_pictures.curve_picture(findings.unknown) if findings.unknown else None,
             gap=_gap(findings, numbers),
             ladder=_ladder(findings),
             where=_where(findings),

@@ -19,6 +19,7 @@ from matplotlib.patches import Circle, FancyArrowPatch, Polygon
 
 from omnislip.gap.metrics import GapTable, Replays
 from omnislip.gap.search import Trial
+from omnislip.gap.unknown import Unknown
 from omnislip.gap.where import Map, Place
 from omnislip.plots import BLUE, ORANGE, new_figure
 
@@ -188,6 +189,19 @@ def replay_picture(
     below.set(xlabel="time / s", ylabel=f"error / {_divisor(unit)}")
     below.set_ylim(-1.1 * largest, 1.1 * largest)
     _legend_above(below)
+    return _address(figure)
+
+
+def curve_picture(unknown: Unknown) -> str:
+    """Draw the curve of a missing force with two standard deviations, and the proposed formula."""
+    figure, (axis,) = _figure(1, 2.6)
+    axis.axhline(0.0, color="#c9cdd3", linewidth=1)
+    low, high = unknown.y - 2 * unknown.deviation, unknown.y + 2 * unknown.deviation
+    axis.fill_between(unknown.x, low, high, color=FLOOR, label="two standard deviations")
+    axis.plot(unknown.x, unknown.y, "o-", color=BLUE, markersize=4, label="from the logs")
+    axis.plot(unknown.x, unknown.formula_y, "--", color=ORANGE, label="formula (hypothesis)")
+    axis.set(xlabel=unknown.x_label, ylabel=unknown.y_label)
+    _legend_above(axis)
     return _address(figure)
 
 

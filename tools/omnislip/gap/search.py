@@ -62,8 +62,9 @@ VALIDATION_SHARE = 0.75
 SCATTER_P_VALUE = 0.01
 SHORTEST_LAG_ROWS = 0.1
 MOST_ERROR = 8.0
-HOPEFUL_GAIN = 100.0
-"""Gain beyond chance of a refused effect from which it is worth looking one step ahead."""
+HOPEFUL_GAIN = 200.0
+"""Gain beyond chance of a refused effect that no chance gives: something is there, though not alone
+under this name. From there it is worth looking one step ahead."""
 BEAM, BEAM_REFITS = 3, 6
 PATCH_SCALES = (0.3, 0.5, 0.7, 0.9)
 

@@ -1,0 +1,109 @@
+"""What an unknown effect looks like: curves of known shape, and hidden terms of the generator."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from omnislip.gap.machine import Machine
+from omnislip.gap.recordings import make_run
+from omnislip.gap.search import believed_hypothesis, settle
+from omnislip.gap.truth import TruthCase, write_case
+from omnislip.gap.unknown import Quantity, _Tried, describe_unknown, equations, propose
+from omnislip.log_file import read_log
+from omnislip.model_file import read_model
+
+
+def hidden(tmp_path, name, parameters, wheel=None):
+    """Believed model and eight short runs in which a term of no catalogue was hidden."""
+    effect = {"name": name, "parameters": parameters}
+    if wheel is not None:
+        effect["wheel"] = wheel
+    case = TruthCase(
+        seed=77, effects=(effect,), run_duration_s=4.0, base_offset_sd=0.0, sensors=("gyro", "pose")
+    )
+    write_case(case, tmp_path)
+    machine = Machine(read_model(tmp_path / "robot.toml"))
+    runs = [make_run(machine, read_log(path, "robot")) for path in sorted(tmp_path.glob("run_*.csv"))]
+    return machine, runs
+
+
+def described(machine, runs):
+    """What the description says beside the believed model, its keys refitted."""
+    data, fitted = settle(machine, runs, believed_hypothesis(machine))
+    outcome = SimpleNamespace(data=data, final=fitted)
+    return describe_unknown(outcome, runs[:5], runs[5:])
+
+
+def test_beat_in_time_is_found_with_its_frequency_and_size(tmp_path):
+    """0.2 N m |duty| sin(2 pi 7.3 Hz t) on every shaft."""
+    machine, runs = hidden(tmp_path, "pwm_beat", {"torque_nm": 0.2, "frequency_hz": 7.3})
+    found = described(machine, runs)
+    assert found.equation == "every wheel/torque"
+    assert "7.3 Hz" in found.dependence
+    assert "times the size of the command" in found.dependence
+    assert np.max(found.y) == pytest.approx(0.2, rel=0.2)
+
+
+def test_drag_of_fast_wheels_is_a_curve_over_their_speed(tmp_path):
+    """-0.2 N m (W / 300 rad/s)^5: the curve and the formula agree with it within the deviation."""
+    machine, runs = hidden(tmp_path, "fifth_order_drag", {"torque_nm": 0.2})
+    found = described(machine, runs)
+    assert (found.equation, found.dependence) == ("every wheel/torque", "shaft speed")
+    true = -0.2 * (found.x / 300.0) ** 5
+    # What is linear in the speed belongs to the friction and back-EMF of the believed model.
+    slope = np.linalg.lstsq(found.x[:, None], found.y - true, rcond=None)[0]
+    assert np.all(np.abs(found.y - true - slope * found.x) < 4.0 * found.deviation)
+    assert found.formula_share > 0.9
+
+
+def test_a_tight_spot_names_its_wheel_and_the_wheel_angle(tmp_path):
+    machine, runs = hidden(tmp_path, "tight_spot", {"torque_nm": 0.08}, wheel=3)
+    found = described(machine, runs)
+    assert (found.equation, found.dependence) == ("wheel/3/friction", "wheel angle")
+    assert found.x[np.argmax(found.y)] == pytest.approx(np.pi / 2, abs=np.pi / 4)
+
+
+def test_nothing_is_described_where_nothing_is_missing(tmp_path):
+    case = TruthCase(seed=5, run_duration_s=4.0, base_offset_sd=0.0, sensors=("gyro", "pose"))
+    write_case(case, tmp_path)
+    machine = Machine(read_model(tmp_path / "robot.toml"))
+    runs = [make_run(machine, read_log(path, "robot")) for path in sorted(tmp_path.glob("run_*.csv"))]
+    assert described(machine, runs) is None
+
+
+def tried_of(knots, sizes, deviation):
+    quantity = Quantity("shaft speed", "rad/s", lambda x, d, t, i: x[:, i])
+    equation = SimpleNamespace(symbol="torque", unit="N m")
+    covariance = deviation**2 * np.eye(len(knots))
+    return _Tried("", equation, quantity, knots, sizes, covariance, 0.0, 0.0, 0.0, True)
+
+
+@settings(deadline=None, max_examples=60)
+@given(
+    power=st.sampled_from([1, 3, 5]),
+    size=st.floats(0.01, 10.0),
+    sign=st.sampled_from([-1.0, 1.0]),
+)
+def test_formula_of_a_power_is_that_power(power, size, sign):
+    """A curve that is one power of the quantity, sampled without error."""
+    knots = np.linspace(-200.0, 200.0, 9)
+    formula, share, values = propose(
+        tried_of(knots, sign * size * (knots / 200.0) ** power, 1e-3 * size), "torque / (N m)"
+    )
+    shape = "u" if power == 1 else f"u^{power}"
+    assert formula == f"torque / (N m) = {sign * size:+.3g} {shape}, u = shaft speed / (200 rad/s)"
+    assert share == pytest.approx(1.0, abs=1e-6)
+    np.testing.assert_allclose(values, sign * size * (knots / 200.0) ** power, atol=1e-6 * size)
+
+
+def test_every_equation_pushes_what_it_says():
+    """A unit of a world force along y at heading 90 degrees pushes the body along its x."""
+    machine = Machine(read_model(NOMINAL_ROBOT))
+    state = np.zeros((1, 21))
+    state[0, 13] = np.pi / 2
+    world_y = next(e for e in equations(machine, machine.believed) if e.name == "world/force_y")
+    push = world_y.push(state)
+    np.testing.assert_allclose([push[8][0], push[9][0]], [1.0, 0.0], atol=1e-12)

@@ -1,0 +1,601 @@
+"""What an unknown effect looks like: which equation lacks what, as a curve over what it depends on.
+
+The force that is missing in one equation is taken for any function of one quantity q: straight
+between some knots, f(q) = sum_j f_j hat_j(q). What a unit of each f_j does to the whitened
+innovations is linear (rows.py), so the f_j follow by least squares beside the fitted parameters,
+with their covariance. Every pair of equation and quantity is tried; the one that explains most of
+runs that were not fitted is shown. A regular beat in time is looked for in the spectrum of the
+filter's disturbances and then fitted as a wave, alone or in proportion to the command.
+
+A short formula for the curve is a hypothesis for people to judge: the one or two shapes of a list
+with the smallest BIC.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import combinations
+
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import chi2
+
+from omnislip.gap.inference import Absorbed, Data, Fit, absorbed, fit, inflation_of, linearise
+from omnislip.gap.machine import Machine
+from omnislip.gap.noise import track_all
+from omnislip.gap.recordings import Run
+from omnislip.gap.rows import whitened_response
+from omnislip.gap.search import Outcome, helps_most
+
+Array = npt.NDArray[np.float64]
+
+KNOTS = 9
+OUTER = (1.0, 99.0)
+"""Percentiles of the quantity at which its curve ends."""
+FREQUENCIES_HZ = np.geomspace(0.7, 40.0, 600)
+PEAK = 12.0
+"""Power of a beat over the median of its spectrum (6.6 is the largest of 600 by chance, 1 %)."""
+SLOW_SHARE, SLOW_RAD_S = 0.02, 2.0
+SHAFT_TORQUE = "torque"
+DISTURBANCES = 14
+"""First of the filter's states of a robot that are disturbances (noise.py)."""
+P_VALUE = 1e-6
+"""Over all pairs of equation and quantity."""
+PAIR_PENALTY = 3.0
+"""How much more than by BIC a second shape has to explain."""
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """Something that a missing force may depend on; `period` where it comes back to itself."""
+
+    name: str
+    unit: str
+    of: Callable[[Array, Array, Array, int], Array]
+    """(state (rows, n), command (rows, motors), time (rows,), motor) -> (rows,)"""
+    period: float | None = None
+    frequency_hz: float | None = None
+    """Of a wave: the quantity is then what the wave is in proportion to."""
+
+
+@dataclass(frozen=True)
+class Equation:
+    """An equation that may lack a force: how a unit of it pushes states or shows in sensors."""
+
+    name: str
+    symbol: str
+    unit: str
+    size: float
+    """Unit of the force per unit of the state's rate."""
+    motor: int
+    quantities: tuple[Quantity, ...]
+    push: Callable[[Array], dict[int, Array]] = lambda _x: {}
+    """state (rows, n) -> rate of each pushed state (rows,)"""
+    outputs: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """A missing force: where, on what it depends, its curve, and a formula as a hypothesis.
+
+    `x`, `y`, `deviation` (knots,) in the units named; of a wave: over one period. `formula_share`
+    is what the formula explains of the curve, `formula_y` (knots,) its values.
+    """
+
+    equation: str
+    dependence: str
+    x_label: str
+    y_label: str
+    x: Array
+    y: Array
+    deviation: Array
+    gain: float
+    validation_gain: float
+    formula: str
+    formula_share: float
+    formula_y: Array = field(repr=False)
+
+
+@dataclass(frozen=True)
+class _Tried:
+    """A pair of equation (names of its members) and quantity, with its sizes."""
+
+    name: str
+    equation: Equation
+    quantity: Quantity
+    knots: Array
+    sizes: Array
+    covariance: Array
+    gain: float
+    p_value: float
+    validation_gain: float
+    helps: bool
+    """Whether most of the runs that were not fitted gain."""
+
+
+def describe_unknown(
+    outcome: Outcome, fitting: Sequence[Run], validation: Sequence[Run]
+) -> Unknown | None:
+    """Return what explains most of the validation runs, or None if nothing helps them."""
+    machine, noise = outcome.data.machine, outcome.data.noise
+    hypothesis = outcome.final.hypothesis
+    values = hypothesis.flat(machine.believed)
+    data = Data(machine, fitting, noise, values)
+    checks = Data(machine, validation, noise, values)
+    study = _Study(data, checks, fit(data, hypothesis, iterations=0), values)
+    tried = list(study.all_pairs(equations(machine, values)))
+    passed = [one for one in tried if one.p_value * len(tried) < P_VALUE and one.helps]
+    best = max(passed, key=lambda one: one.validation_gain, default=None)
+    return _put_together(best) if best is not None else None
+
+
+class _Study:
+    """Fits curves to what a model leaves of `data`, and applies them to `checks`."""
+
+    def __init__(self, data: Data, checks: Data, fitted: Fit, values: Array) -> None:
+        self._fitted = fitted
+        self._sides = (data, checks)
+        self._tracks = [
+            track_all(side.machine, side.runs, values, side.noise, keep_linear=True)
+            for side in self._sides
+        ]
+        self._residual = checks.residuals(values[None])[0]
+        _, self._check_jacobian = linearise(checks, fitted.hypothesis)
+
+    def all_pairs(self, found: Sequence[Equation]) -> Iterator[_Tried]:
+        """Every quantity in every equation; wheels also all together, with the same curve."""
+        groups: dict[str, list[Equation]] = {}
+        for equation in found:
+            groups.setdefault(equation.symbol + equation.unit, []).append(equation)
+        for members in groups.values():
+            waves = self._waves(members)
+            for quantity in (*members[0].quantities, *waves):
+                yield from self._pair(members, quantity)
+
+    def _pair(self, members: Sequence[Equation], quantity: Quantity) -> Iterator[_Tried]:
+        knots = self._knots(members, quantity)
+        if knots is None:
+            return
+        columns = [[self._columns(side, one, quantity, knots) for side in (0, 1)] for one in members]
+        alone = [(one.name, one, own) for one, own in zip(members, columns, strict=True)]
+        if len(members) > 1:
+            together = [sum(own[side] for own in columns) for side in (0, 1)]
+            alone.append((_every(members[0].name), members[0], together))
+        for name, equation, (fitted, checked) in alone:
+            tried = self._fit(name, equation, quantity, knots, fitted, checked)
+            if tried is not None:
+                yield tried
+
+    def _fit(
+        self,
+        name: str,
+        equation: Equation,
+        quantity: Quantity,
+        knots: Array,
+        columns: Array,
+        check_columns: Array,
+    ) -> _Tried | None:
+        """Least squares of the sizes beside the fitted parameters."""
+        data, checks = self._sides
+        taken: Absorbed = absorbed(self._fitted, columns)
+        free = taken.rest(self._fitted.jacobian, columns)
+        gram = free.T @ free
+        if not np.trace(gram) > 0:
+            return None
+        inverse = np.linalg.pinv(gram, rcond=1e-9, hermitian=True)
+        sizes = -inverse @ (free.T @ self._fitted.residual)
+        after = self._fitted.residual + free @ sizes
+        inflation = inflation_of(data, free, after, gram)
+        change = taken.rest(self._check_jacobian, check_columns) @ sizes
+        gains = np.array(
+            [
+                np.sum(r**2) - np.sum((r + c) ** 2)
+                for r, c in zip(
+                    checks.per_run(self._residual), checks.per_run(change), strict=True
+                )
+            ]
+        )
+        gain = float(sizes @ gram @ sizes)
+        sign = -1.0 if equation.outputs else 1.0  # a sensor shows it, a state is pushed by it
+        return _Tried(
+            name,
+            equation,
+            quantity,
+            knots,
+            sign * equation.size * sizes,
+            equation.size**2 * inflation * inverse,
+            gain,
+            float(chi2.sf(gain / inflation, np.linalg.matrix_rank(gram, hermitian=True))),
+            float(gains.sum()),
+            bool(gains.sum() > 0 and helps_most(gains)),
+        )
+
+    def _knots(self, members: Sequence[Equation], quantity: Quantity) -> Array | None:
+        """Where the curve bends; None for a quantity that hardly changes."""
+        if quantity.frequency_hz is not None:
+            return np.zeros(2)
+        if quantity.period is not None:
+            return np.linspace(0.0, quantity.period, KNOTS)[:-1]
+        values = np.concatenate(
+            [
+                quantity.of(state, run.command, run.t_s - run.t_s[0], one.motor)
+                for one in members
+                for run, state in self._states(0)
+            ]
+        )
+        low, high = np.percentile(values, OUTER)
+        return np.linspace(low, high, KNOTS) if high - low > 1e-9 else None
+
+    def _states(self, side: int) -> Iterator[tuple[Run, Array]]:
+        for run, track in zip(self._sides[side].runs, self._tracks[side], strict=True):
+            yield run, track.state.reshape(len(run.t_s), -1)
+
+    def _columns(self, side: int, equation: Equation, quantity: Quantity, knots: Array) -> Array:
+        """Whitened change of the innovations by a unit at each knot (m, knots)."""
+        data, found = self._sides[side], []
+        for (run, state), track in zip(self._states(side), self._tracks[side], strict=True):
+            hats = _hats(quantity, knots, run, state, equation.motor)
+            push = np.zeros((*state.shape, hats.shape[1]))
+            shown = np.zeros((*run.outputs.shape, hats.shape[1]))
+            for index, rate in equation.push(state).items():
+                push[:, index] = rate[:, None] * hats
+            for index in equation.outputs:
+                shown[:, index] = hats
+            shown[np.isnan(run.outputs)] = 0.0
+            response = whitened_response(data.machine, run, track, push, shown)
+            found.append(response[data.kept_rows(run)].reshape(-1, hats.shape[1]))
+        return data.hidden.apply(np.concatenate(found).T).T / data.scale
+
+    def _waves(self, members: Sequence[Equation]) -> list[Quantity]:
+        """Regular beats in the disturbances that the filter saw in these equations."""
+        if members[0].symbol != SHAFT_TORQUE or self._sides[0].machine.kind != "robot":
+            return []
+        found = []
+        weights: dict[str, Callable[..., Array]] = {
+            "": lambda x, d, t, i: np.ones(len(x)),
+            "the command": lambda x, d, t, i: d[:, i],
+            "the size of the command": lambda x, d, t, i: np.abs(d[:, i]),
+        }
+        for name, weight in weights.items():
+            power = self._power(members, weight, FREQUENCIES_HZ)
+            peak = int(np.argmax(power))
+            if power[peak] > PEAK * np.median(power):
+                near = FREQUENCIES_HZ[peak] * np.linspace(0.99, 1.01, 41)
+                best = near[int(np.argmax(self._power(members, weight, near)))]
+                found.append(Quantity(name, "1", weight, None, float(best)))
+        return found
+
+    def _power(
+        self, members: Sequence[Equation], weight: Callable[..., Array], frequencies_hz: Array
+    ) -> Array:
+        """Power of the weighted disturbances of some equations at each frequency."""
+        power = np.zeros(len(frequencies_hz))
+        for one in members:
+            total = np.zeros(len(frequencies_hz), dtype=complex)
+            for run, state in self._states(0):
+                seen = state[:, DISTURBANCES + one.motor]
+                turn = np.exp(-2j * np.pi * np.outer(frequencies_hz, run.t_s - run.t_s[0]))
+                own = weight(state, run.command, run.t_s, one.motor)
+                total += turn @ (own * (seen - seen.mean()))
+            power += np.abs(total) ** 2
+        return power
+
+
+def _every(name: str) -> str:
+    """Name of all wheels together: 'wheel/1/torque' -> 'every wheel/torque'."""
+    first, _, last = name.split("/")
+    return f"every {first}/{last}"
+
+
+def _hats(quantity: Quantity, knots: Array, run: Run, state: Array, motor: int) -> Array:
+    """Value of each knot's hat function in every row (rows, knots); of a wave its two phases."""
+    time_s = run.t_s - run.t_s[0]
+    q = quantity.of(state, run.command, time_s, motor)
+    if quantity.frequency_hz is not None:
+        angle = 2.0 * np.pi * quantity.frequency_hz * time_s
+        return np.stack([q * np.sin(angle), q * np.cos(angle)], axis=1)
+    count = len(knots)
+    if quantity.period is not None:
+        place = np.mod(q, quantity.period) / quantity.period * count
+    else:
+        place = np.clip((q - knots[0]) / (knots[-1] - knots[0]), 0.0, 1.0) * (count - 1)
+    distance = np.abs(place[:, None] - np.arange(count))
+    if quantity.period is not None:
+        distance = np.minimum(distance, count - distance)
+    return np.maximum(1.0 - distance, 0.0)
+
+
+def equations(machine: Machine, values: Array) -> list[Equation]:
+    """Return the equations of a machine and what a force in them may depend on."""
+    if machine.kind == "axis":
+        return _axis_equations(machine)
+    if machine.kind == "odometry":
+        return _odometry_equations(machine)
+    return _robot_equations(machine, values)
+
+
+TIME = Quantity("time", "s", lambda x, d, t, i: t)
+
+
+def _robot_equations(machine: Machine, values: Array) -> list[Equation]:
+    model = machine.model.values
+    gear = float(model["motor.gear_ratio"])
+    mass, inertia = float(values[0]), float(values[1])
+    shaft = float(model["motor.inertia_kg_m2"])
+    turn = 2.0 * np.pi
+    angle = Quantity("shaft angle", "rad", lambda x, d, t, i: x[:, 4 + i], turn)
+    wheel_angle = Quantity("wheel angle", "rad", lambda x, d, t, i: x[:, 4 + i] / gear, turn)
+    wheel = (
+        Quantity("shaft speed", "rad/s", lambda x, d, t, i: x[:, i]),
+        Quantity("command", "1", lambda x, d, t, i: d[:, i]),
+        angle,
+        wheel_angle,
+        TIME,
+    )
+    along = Quantity("speed along x", "m/s", lambda x, d, t, i: x[:, 8])
+    across = Quantity("speed along y", "m/s", lambda x, d, t, i: x[:, 9])
+    turning = Quantity("yaw rate", "rad/s", lambda x, d, t, i: x[:, 10])
+    heading = Quantity("heading", "rad", lambda x, d, t, i: x[:, 13], turn)
+    place_x = Quantity("place x", "m", lambda x, d, t, i: x[:, 11])
+    place_y = Quantity("place y", "m", lambda x, d, t, i: x[:, 12])
+    body = (along, across, turning, TIME)
+    found = [
+        Equation(
+            f"wheel/{i + 1}/torque",
+            SHAFT_TORQUE,
+            "N m",
+            shaft,
+            i,
+            wheel,
+            lambda x, i=i: {i: _one(x)},
+        )
+        for i in range(4)
+    ]
+    found += [
+        Equation(
+            f"wheel/{i + 1}/friction",
+            "torque against rotation",
+            "N m",
+            shaft,
+            i,
+            (angle, wheel_angle, TIME),
+            lambda x, i=i: {i: -np.tanh(x[:, i] / SLOW_RAD_S)},
+        )
+        for i in range(4)
+    ]
+    found += [
+        Equation("body/force_x", "force along x", "N", mass, 0, body, lambda x: {8: _one(x)}),
+        Equation("body/force_y", "force along y", "N", mass, 0, body, lambda x: {9: _one(x)}),
+        Equation(
+            "body/moment",
+            "moment",
+            "N m",
+            inertia,
+            0,
+            (turning, along, across, heading, place_x, place_y, TIME),
+            lambda x: {10: _one(x)},
+        ),
+        Equation(
+            "world/force_x",
+            "force along world x",
+            "N",
+            mass,
+            0,
+            (place_x, place_y, TIME),
+            lambda x: {8: np.cos(x[:, 13]), 9: -np.sin(x[:, 13])},
+        ),
+        Equation(
+            "world/force_y",
+            "force along world y",
+            "N",
+            mass,
+            0,
+            (place_x, place_y, TIME),
+            lambda x: {8: np.sin(x[:, 13]), 9: np.cos(x[:, 13])},
+        ),
+        Equation(
+            "body/drag",
+            "force against the velocity",
+            "N",
+            mass,
+            0,
+            (
+                Quantity("speed", "m/s", lambda x, d, t, i: np.hypot(x[:, 8], x[:, 9])),
+                place_x,
+                place_y,
+            ),
+            _against_velocity,
+        ),
+        Equation(
+            "gyro",
+            "yaw rate shown",
+            "rad/s",
+            1.0,
+            0,
+            (turning, along, across, *_accelerations(), TIME),
+            outputs=(4,),
+        ),
+    ]
+    found += [
+        Equation(f"encoder/{i + 1}/angle", "angle shown", "rad", 1.0, i, (angle,), outputs=(i,))
+        for i in range(4)
+    ]
+    return found
+
+
+def _one(x: Array) -> Array:
+    return np.ones(len(x))
+
+
+def _against_velocity(x: Array) -> dict[int, Array]:
+    speed = np.hypot(x[:, 8], x[:, 9])
+    share = 1.0 / np.maximum(speed, SLOW_SHARE)
+    return {8: -x[:, 8] * share, 9: -x[:, 9] * share}
+
+
+def _accelerations() -> tuple[Quantity, ...]:
+    return (
+        Quantity(
+            "acceleration along x",
+            "m/s2",
+            lambda x, d, t, i: _rate(t, x[:, 8]) - x[:, 10] * x[:, 9],
+        ),
+        Quantity(
+            "acceleration along y",
+            "m/s2",
+            lambda x, d, t, i: _rate(t, x[:, 9]) + x[:, 10] * x[:, 8],
+        ),
+    )
+
+
+def _rate(time_s: Array, values: Array) -> Array:
+    kernel = np.ones(9) / 9
+    return np.convolve(np.gradient(values, time_s), kernel, mode="same")
+
+
+def _axis_equations(machine: Machine) -> list[Equation]:
+    linear = machine.linear
+    inertia = float(machine.believed[0])
+    speed, place = ("m/s", "m") if linear else ("rad/s", "rad")
+    quantities = (
+        Quantity("speed", speed, lambda x, d, t, i: x[:, 0]),
+        Quantity("command", "1", lambda x, d, t, i: d[:, 0]),
+        Quantity("position", place, lambda x, d, t, i: x[:, 1], None if linear else 2 * np.pi),
+        TIME,
+    )
+    symbol, unit = ("force", "N") if linear else (SHAFT_TORQUE, "N m")
+    return [
+        Equation("axis/force", symbol, unit, inertia, 0, quantities, lambda x: {0: _one(x)})
+    ]
+
+
+def _odometry_equations(machine: Machine) -> list[Equation]:
+    wheels, engine = machine.wheels, machine.engine
+    unit = np.zeros((wheels, engine.motors))
+    unit[:, :wheels] = np.eye(wheels)
+    per_rate = engine.derivatives(machine.believed, np.zeros((wheels, 3)), unit)
+    parts = (("speed along", "m/s"), ("speed across", "m/s"), ("turning", "rad/s"))
+    quantities = (
+        *(
+            Quantity(name, own, lambda x, u, t, i, k=k: u[:, :wheels] @ per_rate[:, k])
+            for k, (name, own) in enumerate(parts)
+        ),
+        TIME,
+    )
+    along = lambda x: {0: np.cos(x[:, 2]), 1: np.sin(x[:, 2])}  # noqa: E731
+    across = lambda x: {0: -np.sin(x[:, 2]), 1: np.cos(x[:, 2])}  # noqa: E731
+    return [
+        Equation("odometry/forward", "speed forward", "m/s", 1.0, 0, quantities, along),
+        Equation("odometry/lateral", "speed to the left", "m/s", 1.0, 0, quantities, across),
+        Equation(
+            "odometry/turning", "yaw rate", "rad/s", 1.0, 0, quantities, lambda x: {2: _one(x)}
+        ),
+    ]
+
+
+def _put_together(best: _Tried) -> Unknown:
+    """Curve, words and formula of what was found."""
+    equation, quantity = best.equation, best.quantity
+    y_label = f"{equation.symbol} ({equation.unit})"
+    if quantity.frequency_hz is not None:
+        return _wave(best, y_label)
+    formula, share, formula_y = propose(best, f"{equation.symbol} / ({equation.unit})")
+    return Unknown(
+        best.name,
+        quantity.name,
+        f"{quantity.name}" + (f" ({quantity.unit})" if quantity.unit != "1" else ""),
+        y_label,
+        best.knots,
+        best.sizes,
+        np.sqrt(np.maximum(np.diag(best.covariance), 0.0)),
+        best.gain,
+        best.validation_gain,
+        formula,
+        share,
+        formula_y,
+    )
+
+
+def _wave(best: _Tried, y_label: str) -> Unknown:
+    frequency = best.quantity.frequency_hz
+    amplitude = float(np.hypot(*best.sizes))
+    phase = float(np.arctan2(best.sizes[1], best.sizes[0]))
+    times = f" times {best.quantity.name}" if best.quantity.name else ""
+    x = np.linspace(0.0, 1.0 / frequency, 25)
+    basis = np.stack(
+        [np.sin(2 * np.pi * frequency * x), np.cos(2 * np.pi * frequency * x)], axis=1
+    )
+    y = basis @ best.sizes
+    deviation = np.sqrt(np.einsum("ij,jk,ik->i", basis, best.covariance, basis))
+    formula = (
+        f"{best.equation.symbol} / ({best.equation.unit}) = {amplitude:.3g} "
+        f"sin(2 pi {frequency:.3g} t/s {phase:+.2f})" + (f" *{times[6:]}" if times else "")
+    )
+    return Unknown(
+        best.name,
+        f"time, a wave of {frequency:.3g} Hz" + times,
+        "time (s)",
+        y_label,
+        x,
+        y,
+        deviation,
+        best.gain,
+        best.validation_gain,
+        formula,
+        1.0,
+        y,
+    )
+
+
+SHAPES: dict[str, Callable[[Array], Array]] = {
+    "1": lambda u: np.ones_like(u),
+    "sign(u)": lambda u: np.tanh(u / SLOW_SHARE),
+    "u": lambda u: u,
+    "|u|": lambda u: np.abs(u),
+    "u^2": lambda u: u**2,
+    "u |u|": lambda u: u * np.abs(u),
+    "u^3": lambda u: u**3,
+    "u^5": lambda u: u**5,
+}
+"""Of u = q / largest |q|."""
+PERIODIC_SHAPES: dict[str, Callable[[Array], Array]] = {
+    "1": lambda u: np.ones_like(u),
+    "sin(u)": np.sin,
+    "cos(u)": np.cos,
+    "sin(2 u)": lambda u: np.sin(2 * u),
+    "cos(2 u)": lambda u: np.cos(2 * u),
+}
+
+
+def propose(best: _Tried, left: str) -> tuple[str, float, Array]:
+    """Return a formula for a curve, the share of its weighted squares it explains, its values."""
+    periodic = best.quantity.period is not None
+    largest = 1.0 if periodic else float(f"{np.max(np.abs(best.knots)):.2g}")
+    shapes = PERIODIC_SHAPES if periodic else SHAPES
+    table = {name: shape(best.knots / largest) for name, shape in shapes.items()}
+    weight = np.linalg.pinv(best.covariance, rcond=1e-9, hermitian=True)
+    count = len(best.knots)
+    total = float(best.sizes @ weight @ best.sizes)
+    chosen: tuple[float, tuple[str, ...], Array] | None = None
+    for names in [(n,) for n in table] + list(combinations(table, 2)):
+        basis = np.stack([table[n] for n in names], axis=1)
+        amounts = np.linalg.lstsq(basis.T @ weight @ basis, basis.T @ weight @ best.sizes, 1e-9)[0]
+        rest = best.sizes - basis @ amounts
+        penalty = len(names) * np.log(count) + PAIR_PENALTY * (len(names) - 1)
+        # The knots are not the truth either: errors of straight lines between them count as noise.
+        cost = count * np.log(max(rest @ weight @ rest, 1.0) / count) + penalty
+        if chosen is None or cost < chosen[0]:
+            chosen = (float(cost), names, amounts)
+    _, names, amounts = chosen
+    unit = "1" if periodic else f"({largest:g} {best.quantity.unit})".replace(" 1)", ")")
+    over = "" if unit == "1" else f" / {unit}"
+    parts = [
+        f"{amount:+.3g}" + ("" if n == "1" else f" {n}")
+        for n, amount in zip(names, amounts, strict=True)
+    ]
+    fitted = np.stack([table[n] for n in names], axis=1) @ amounts
+    rest = best.sizes - fitted
+    share = 1.0 - float(rest @ weight @ rest) / total if total > 0 else 0.0
+    formula = f"{left} = " + " ".join(parts)
+    if names != ("1",):
+        formula += f", u = {best.quantity.name}{over}"
+    return formula, share, fitted
