@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
 from omnislip.gap.machine import Machine
 from omnislip.gap.recordings import make_run
 from omnislip.gap.search import believed_hypothesis, settle
 from omnislip.gap.truth import TruthCase, write_case
-from omnislip.gap.unknown import Quantity, _Tried, describe_unknown, equations, propose
+from omnislip.gap.unknown import Curve, Quantity, describe_unknown, equations, propose
 from omnislip.log_file import read_log
-from omnislip.model_file import read_model
+from omnislip.model_file import NOMINAL_ROBOT, read_model
 
 
 def hidden(tmp_path, name, parameters, wheel=None):
@@ -26,7 +25,9 @@ def hidden(tmp_path, name, parameters, wheel=None):
     )
     write_case(case, tmp_path)
     machine = Machine(read_model(tmp_path / "robot.toml"))
-    runs = [make_run(machine, read_log(path, "robot")) for path in sorted(tmp_path.glob("run_*.csv"))]
+    runs = [
+        make_run(machine, read_log(path, "robot")) for path in sorted(tmp_path.glob("run_*.csv"))
+    ]
     return machine, runs
 
 
@@ -70,7 +71,9 @@ def test_nothing_is_described_where_nothing_is_missing(tmp_path):
     case = TruthCase(seed=5, run_duration_s=4.0, base_offset_sd=0.0, sensors=("gyro", "pose"))
     write_case(case, tmp_path)
     machine = Machine(read_model(tmp_path / "robot.toml"))
-    runs = [make_run(machine, read_log(path, "robot")) for path in sorted(tmp_path.glob("run_*.csv"))]
+    runs = [
+        make_run(machine, read_log(path, "robot")) for path in sorted(tmp_path.glob("run_*.csv"))
+    ]
     assert described(machine, runs) is None
 
 
@@ -78,7 +81,7 @@ def tried_of(knots, sizes, deviation):
     quantity = Quantity("shaft speed", "rad/s", lambda x, d, t, i: x[:, i])
     equation = SimpleNamespace(symbol="torque", unit="N m")
     covariance = deviation**2 * np.eye(len(knots))
-    return _Tried("", equation, quantity, knots, sizes, covariance, 0.0, 0.0, 0.0, True)
+    return Curve("", equation, quantity, knots, sizes, covariance, 0.0, 0.0, 0.0, True)
 
 
 @settings(deadline=None, max_examples=60)

@@ -3,7 +3,7 @@
 import hashlib
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,7 @@ from omnislip.gap.metrics import (
     replay_all,
 )
 from omnislip.gap.plan import Separation, separating_manoeuvre
+from omnislip.gap.predictable import Predictable, predictable_shares
 from omnislip.gap.recordings import ODOMETRY_CHANNELS, Run, machine_for, make_run
 from omnislip.gap.search import HOPEFUL_GAIN, Outcome, Selected, first_model, search
 from omnislip.gap.unknown import Unknown, describe_unknown
@@ -52,6 +53,9 @@ SERIES_TO_HOLD_OUT_WHOLE = 3
 UNKNOWN_SHARE = 0.03
 """A leftover term that gains more than this share of the named effects makes the verdict unknown:
 the names are right in place perhaps, but wrong in shape."""
+PREDICTED_SHARE, PREDICTED_RUNS = 0.1, 0.75
+"""Share of the filter's disturbances that other runs predict, and in how many of the runs it has to
+help; where nothing is missing it is below 0.04."""
 EXPLAINED = 0.9
 LEAST_EXCESS = 0.5
 """Excess of the square error, in noise floors, that counts as something left."""
@@ -106,6 +110,8 @@ class Findings:
     """File name -> SHA-256 of the model and the logs."""
     unknown: Unknown | None = None
     """What an unknown effect looks like, where that can be said."""
+    predictable: list[Predictable] = field(default_factory=list)
+    """How much of what the filter takes for chance other runs predict, by equation."""
 
 
 def find_gap(
@@ -181,7 +187,9 @@ def find_gap(
         machine, fitted, outcome.data.noise, refit, after if outcome.selected else None
     )
     places = describe(fitted, gap_map) if outcome.selected else []
-    verdict = _verdict(outcome, table, bool(wiring or impacts))
+    progress("asking whether what is left is chance")
+    shares = predictable_shares(machine, fitted, outcome.data.noise, after)
+    verdict = _verdict(outcome, table, bool(wiring or impacts), shares)
     unknown = None
     if verdict == "unknown_effect":
         progress("describing what is missing")
@@ -196,7 +204,7 @@ def find_gap(
             manoeuvres |= {one.candidate.name: best} if best else {}
     return Findings(
         verdict,
-        _sentence(verdict, machine, outcome, table, wiring, impacts, unknown)
+        _sentence(verdict, machine, outcome, table, wiring, impacts, unknown, shares)
         + _advice(manoeuvres),
         machine,
         split,
@@ -212,6 +220,7 @@ def find_gap(
         manoeuvres,
         inputs,
         unknown,
+        shares,
     )
 
 
@@ -222,13 +231,21 @@ def _too_cut(split: Split) -> str:
     )
 
 
-def _verdict(outcome: Outcome, table: GapTable, mended: bool) -> str:
+def _verdict(outcome: Outcome, table: GapTable, mended: bool, shares: Sequence[Predictable]) -> str:
     """Name effects only if they explain what is to be explained."""
     named = sum(s.evidence.gain for s in outcome.selected)
     better_term = bool(outcome.leftover) and outcome.leftover[0].gain > UNKNOWN_SHARE * named
     if better_term or _refused(outcome) > max(HOPEFUL_GAIN, named) or _much_is_left(table):
         return "unknown_effect"
+    if any(_no_chance(one) for one in shares):
+        return "unknown_effect"
     return "effect_found" if outcome.selected or mended else "no_gap"
+
+
+def _no_chance(found: Predictable) -> bool:
+    """Whether what the filter takes for chance is predicted in most of the runs."""
+    most = found.runs_helped >= PREDICTED_RUNS * found.runs
+    return most and found.share > PREDICTED_SHARE
 
 
 def _refused(outcome: Outcome) -> float:
@@ -393,6 +410,7 @@ def _sentence(
     wiring: Sequence[Effect],
     impacts: Sequence[Impact],
     unknown: Unknown | None,
+    shares: Sequence[Predictable],
 ) -> str:
     """Return the verdict as one sentence with numbers."""
     if verdict == "no_gap":
@@ -408,6 +426,11 @@ def _sentence(
         elif outcome.leftover:
             term = outcome.leftover[0]
             text += f": {term.equation}, depending on {term.dependence}"
+        elif shares and _no_chance(shares[0]):
+            text += (
+                f": {100 * shares[0].share:.0f} % of what passes for chance in "
+                f"{shares[0].equation} can be predicted from commands, speeds and place"
+            )
         text += "."
         return text + (f" Nearest known: {'; '.join(parts)}." if parts else "")
     text = "Missing: " + "; ".join(parts) + "."
@@ -506,6 +529,7 @@ def to_json(findings: Findings) -> dict[str, Any]:
             }
             for u in (outcome.leftover if outcome else ())
         ],
+        "predictable": [asdict(one) for one in findings.predictable],
         "unknown_curve": _curve_json(findings.unknown) if findings.unknown else None,
         "gap": _table_json(table) if table else None,
         "steps": [

@@ -96,7 +96,7 @@ class Unknown:
 
 
 @dataclass(frozen=True)
-class _Tried:
+class Curve:
     """A pair of equation (names of its members) and quantity, with its sizes."""
 
     name: str
@@ -141,7 +141,7 @@ class _Study:
         self._residual = checks.residuals(values[None])[0]
         _, self._check_jacobian = linearise(checks, fitted.hypothesis)
 
-    def all_pairs(self, found: Sequence[Equation]) -> Iterator[_Tried]:
+    def all_pairs(self, found: Sequence[Equation]) -> Iterator[Curve]:
         """Every quantity in every equation; wheels also all together, with the same curve."""
         groups: dict[str, list[Equation]] = {}
         for equation in found:
@@ -151,11 +151,13 @@ class _Study:
             for quantity in (*members[0].quantities, *waves):
                 yield from self._pair(members, quantity)
 
-    def _pair(self, members: Sequence[Equation], quantity: Quantity) -> Iterator[_Tried]:
+    def _pair(self, members: Sequence[Equation], quantity: Quantity) -> Iterator[Curve]:
         knots = self._knots(members, quantity)
         if knots is None:
             return
-        columns = [[self._columns(side, one, quantity, knots) for side in (0, 1)] for one in members]
+        columns = [
+            [self._columns(side, one, quantity, knots) for side in (0, 1)] for one in members
+        ]
         alone = [(one.name, one, own) for one, own in zip(members, columns, strict=True)]
         if len(members) > 1:
             together = [sum(own[side] for own in columns) for side in (0, 1)]
@@ -173,7 +175,7 @@ class _Study:
         knots: Array,
         columns: Array,
         check_columns: Array,
-    ) -> _Tried | None:
+    ) -> Curve | None:
         """Least squares of the sizes beside the fitted parameters."""
         data, checks = self._sides
         taken: Absorbed = absorbed(self._fitted, columns)
@@ -189,14 +191,12 @@ class _Study:
         gains = np.array(
             [
                 np.sum(r**2) - np.sum((r + c) ** 2)
-                for r, c in zip(
-                    checks.per_run(self._residual), checks.per_run(change), strict=True
-                )
+                for r, c in zip(checks.per_run(self._residual), checks.per_run(change), strict=True)
             ]
         )
         gain = float(sizes @ gram @ sizes)
         sign = -1.0 if equation.outputs else 1.0  # a sensor shows it, a state is pushed by it
-        return _Tried(
+        return Curve(
             name,
             equation,
             quantity,
@@ -463,9 +463,7 @@ def _axis_equations(machine: Machine) -> list[Equation]:
         TIME,
     )
     symbol, unit = ("force", "N") if linear else (SHAFT_TORQUE, "N m")
-    return [
-        Equation("axis/force", symbol, unit, inertia, 0, quantities, lambda x: {0: _one(x)})
-    ]
+    return [Equation("axis/force", symbol, unit, inertia, 0, quantities, lambda x: {0: _one(x)})]
 
 
 def _odometry_equations(machine: Machine) -> list[Equation]:
@@ -492,7 +490,7 @@ def _odometry_equations(machine: Machine) -> list[Equation]:
     ]
 
 
-def _put_together(best: _Tried) -> Unknown:
+def _put_together(best: Curve) -> Unknown:
     """Curve, words and formula of what was found."""
     equation, quantity = best.equation, best.quantity
     y_label = f"{equation.symbol} ({equation.unit})"
@@ -515,15 +513,13 @@ def _put_together(best: _Tried) -> Unknown:
     )
 
 
-def _wave(best: _Tried, y_label: str) -> Unknown:
+def _wave(best: Curve, y_label: str) -> Unknown:
     frequency = best.quantity.frequency_hz
     amplitude = float(np.hypot(*best.sizes))
     phase = float(np.arctan2(best.sizes[1], best.sizes[0]))
     times = f" times {best.quantity.name}" if best.quantity.name else ""
     x = np.linspace(0.0, 1.0 / frequency, 25)
-    basis = np.stack(
-        [np.sin(2 * np.pi * frequency * x), np.cos(2 * np.pi * frequency * x)], axis=1
-    )
+    basis = np.stack([np.sin(2 * np.pi * frequency * x), np.cos(2 * np.pi * frequency * x)], axis=1)
     y = basis @ best.sizes
     deviation = np.sqrt(np.einsum("ij,jk,ik->i", basis, best.covariance, basis))
     formula = (
@@ -566,7 +562,7 @@ PERIODIC_SHAPES: dict[str, Callable[[Array], Array]] = {
 }
 
 
-def propose(best: _Tried, left: str) -> tuple[str, float, Array]:
+def propose(best: Curve, left: str) -> tuple[str, float, Array]:
     """Return a formula for a curve, the share of its weighted squares it explains, its values."""
     periodic = best.quantity.period is not None
     largest = 1.0 if periodic else float(f"{np.max(np.abs(best.knots)):.2g}")

@@ -1,0 +1,118 @@
+"""Is what the filter takes for chance predictable?
+
+A filter with noise to spare follows any log, and a gap that no known effect explains then passes
+for noise. But chance cannot be predicted. The filter's disturbances (noise.py: one of each shaft,
+of the body along x and y, of the yaw) are learned by boosted trees from everything that a missing
+force may depend on: commands and how they changed, speeds, angles, place, time. A model learned on
+other runs that explains a share of them in runs it has not seen has found something real:
+
+    share = 1 - sum (d - d_predicted)^2 / sum d^2        over runs that were not learned from
+
+It is zero or below where only chance is left. No term has to be guessed beforehand, so this finds
+hysteresis, products and thresholds too; it does not say what they are (unknown.py tries to).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from sklearn.ensemble import HistGradientBoostingRegressor
+
+from omnislip import _core
+from omnislip.gap.machine import Machine
+from omnislip.gap.noise import Noise, track_all
+from omnislip.gap.recordings import Run
+
+Array = npt.NDArray[np.float64]
+
+EQUATIONS = (
+    *(f"wheel/{wheel}/torque" for wheel in range(1, 5)),
+    "body/force_x",
+    "body/force_y",
+    "body/moment",
+)
+FIRST_DISTURBANCE = 14
+ROW_S = 0.01
+"""Disturbances last some 10 ms: rows nearer than that tell the same."""
+FOLDS = 4
+LEAST_RUNS = 3
+PAST_S = (0.005, 0.01, 0.02, 0.05)
+TREES = {"max_iter": 50, "learning_rate": 0.1, "max_leaf_nodes": 8, "min_samples_leaf": 40}
+
+
+@dataclass(frozen=True)
+class Predictable:
+    """Share of the disturbances of one equation that other runs predict; in how many of the runs
+    the prediction is nearer than none."""
+
+    equation: str
+    share: float
+    runs_helped: int
+    runs: int
+
+
+def predictable_shares(
+    machine: Machine, runs: Sequence[Run], noise: Noise, values: Array
+) -> list[Predictable]:
+    """Return the share of each equation, largest first; nothing for fewer than three logs.
+
+    Only robots have disturbances. `runs` may be pieces; pieces of a log are learned together.
+    """
+    names = list(dict.fromkeys(run.name for run in runs))
+    if machine.kind != "robot" or len(names) < LEAST_RUNS:
+        return []
+    features, targets, owners = [], [], []
+    for run, track in zip(runs, track_all(machine, runs, values, noise), strict=True):
+        state = track.state.reshape(len(run.t_s), -1)
+        rows = _sparse_rows(run)
+        features.append(_features(run, state, _gear(machine))[rows])
+        targets.append(state[rows, FIRST_DISTURBANCE : FIRST_DISTURBANCE + len(EQUATIONS)])
+        owners.append(np.full(len(rows), names.index(run.name)))
+    x, y, owner = np.concatenate(features), np.concatenate(targets), np.concatenate(owners)
+    folds = [range(first, len(names), FOLDS) for first in range(min(FOLDS, len(names)))]
+    found = []
+    for index, equation in enumerate(EQUATIONS):
+        left, whole = np.zeros(len(names)), np.zeros(len(names))
+        for fold in folds:
+            unseen = np.isin(owner, list(fold))
+            learned = HistGradientBoostingRegressor(**TREES, random_state=0)
+            learned.fit(x[~unseen], y[~unseen, index])
+            error = y[unseen, index] - learned.predict(x[unseen])
+            left += np.bincount(owner[unseen], error**2, minlength=len(names))
+            whole += np.bincount(owner[unseen], y[unseen, index] ** 2, minlength=len(names))
+        share = 1.0 - float(left.sum() / max(whole.sum(), 1e-300))
+        found.append(Predictable(equation, share, int(np.sum(left < whole)), len(names)))
+    return sorted(found, key=lambda one: -one.share)
+
+
+def _gear(machine: Machine) -> float:
+    return float(machine.model.values["motor.gear_ratio"])
+
+
+def _sparse_rows(run: Run) -> npt.NDArray[np.int64]:
+    """Rows some `ROW_S` apart, after the filter has settled."""
+    stride = max(1, round(ROW_S / float(np.median(np.diff(run.t_s)))))
+    first = int(np.searchsorted(run.t_s, run.t_s[0] + _core.SETTLE_S))
+    return np.arange(first, len(run.t_s), stride)
+
+
+def _features(run: Run, state: Array, gear: float) -> Array:
+    """What a missing force may depend on (rows, features)."""
+    command, time_s = run.command, run.t_s - run.t_s[0]
+    earlier = [
+        np.stack([np.interp(time_s - past, time_s, column) for column in command.T], axis=1)
+        for past in PAST_S
+    ]
+    shaft = state[:, 4:8]
+    return np.concatenate(
+        [
+            command,
+            *(command - past for past in earlier),
+            state[:, :4],
+            *(wave(angle) for angle in (shaft, shaft / gear) for wave in (np.sin, np.cos)),
+            state[:, 8:14],
+            time_s[:, None],
+        ],
+        axis=1,
+    )
