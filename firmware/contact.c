@@ -5,9 +5,9 @@
 
 contact_slip contact_slip_from_force(const parameters *p, i16 force_n_q8) {
     contact_slip result;
-    /* Q8 * Q17 = Q25 -> Q15 */
+    /* Q8 * Q15 = Q23 -> Q15 */
     const i32 share_q15 =
-        fixed_shift_right((i32)force_n_q8 * PARAMETER_GET(p, grip_inverse_q17), 10);
+        fixed_shift_right((i32)force_n_q8 * PARAMETER_GET(p, grip_inverse_q15), 8);
     const i16 limited_q15 = fixed_clamp_i16(share_q15, PARAMETER_GET(p, slip_saturation_q15));
     i16 cosine_q15;
     const i16 tangent_q10 = fixed_tangent_quarter_q10(limited_q15, &cosine_q15);

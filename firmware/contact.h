@@ -11,6 +11,10 @@
  *     trust = cos^2(pi/2 x) = 1 / (1 + (k s)^2)
  *
  * |x| is limited to the parameter slip_saturation, beyond which s would be noise.
+ *
+ * 1 / (mu_drive N) is Q15: grips of 1 N and more, up to the 128 N of the force format. Rounded by
+ * 2^-16 / N it shifts x by the share 2^-16 G / N of a grip G; a force rounded by 2^-9 N shifts it
+ * by 2^-9 N / G. Neither exceeds 0.2 % between 1 and 128 N, less than a grip is known to.
  */
 #ifndef FIRMWARE_CONTACT_H
 #define FIRMWARE_CONTACT_H

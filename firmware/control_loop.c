@@ -344,9 +344,8 @@ static void drive_wheels(control_loop *loop, const kinematics_velocity *body,
     const parameters *p = loop->settings;
     const kinematics_force roller = contact_roller_force(p, body);
     const i16 limit_v_q9 = fixed_multiply_q15(supply_v_q9, PARAMETER_GET(p, duty_limit_q15));
-    /* 2^27 / Q9; below 2^15 because supply_minimum is above 8 V */
-    const i16 inverse_supply_q18 =
-        fixed_saturate_i16(fixed_divide(134217728L, (u16)supply_v_q9, 0));
+    /* 2^26 / Q9; below 2^15 because supply_minimum is above 4 V */
+    const i16 inverse_supply_q17 = fixed_saturate_i16(fixed_divide(67108864L, (u16)supply_v_q9, 0));
     kinematics_force force = *inertia;
     i16 hub_m_s_q13[WHEEL_COUNT];
     i16 force_n_q8[WHEEL_COUNT];
@@ -358,9 +357,9 @@ static void drive_wheels(control_loop *loop, const kinematics_velocity *body,
     for (i = 0; i < WHEEL_COUNT; i++) {
         const i16 voltage_q9 =
             wheel_voltage_v_q9(loop, i, hub_m_s_q13[i], force_n_q8[i], limit_v_q9);
-        /* Q9 * Q18 = Q27 -> Q15 */
+        /* Q9 * Q17 = Q26 -> Q15 */
         loop->telemetry.duty_q15[i] =
-            fixed_clamp_i16(fixed_shift_right((i32)voltage_q9 * inverse_supply_q18, 12),
+            fixed_clamp_i16(fixed_shift_right((i32)voltage_q9 * inverse_supply_q17, 11),
                             PARAMETER_GET(p, duty_limit_q15));
     }
 }

@@ -35,7 +35,7 @@ i16 motor_voltage_v_q9(const parameters *p, i16 force_n_q8, i16 shaft_rad_s_q5,
     i32 sum_q6 = fixed_shift_right(force_n_q8, 2);
     sum_q6 += fixed_shift_right(losses_n_q19(p, shaft_rad_s_q5), 13);
     sum_q6 += fixed_shift_right(inertia_q15, 9);
-    /* Q6 * Q15 = Q21 -> Q9 */
+    /* Q6 * Q13 = Q19 -> Q9 */
     return fixed_saturate_i16(fixed_shift_right(
-        (i32)fixed_saturate_i16(sum_q6) * PARAMETER_GET(p, volt_per_force_q15), 12));
+        (i32)fixed_saturate_i16(sum_q6) * PARAMETER_GET(p, volt_per_force_q13), 10));
 }

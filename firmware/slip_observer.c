@@ -72,10 +72,10 @@ static void predict(slip_observer *observer, const parameters *p, const kinemati
     integrate(
         &observer->y_m_s_q22,
         fixed_shift_right((i32)fixed_add_i16(drive.y_n_q6, roller.y_n_q6) * per_force_q25, 9));
-    /* Q8 * Q20 = Q28 -> Q22 */
+    /* Q8 * Q16 = Q24 -> Q22 */
     integrate(
         &observer->omega_rad_s_q22,
-        fixed_shift_right((i32)drive.torque_n_m_q8 * PARAMETER_GET(p, omega_per_torque_q20), 6));
+        fixed_shift_right((i32)drive.torque_n_m_q8 * PARAMETER_GET(p, omega_per_torque_q16), 2));
     integrate(&observer->x_m_s_q22, turning_change_m_s_q22(v->omega_rad_s_q11, v->y_m_s_q13));
     integrate(&observer->y_m_s_q22, -turning_change_m_s_q22(v->omega_rad_s_q11, v->x_m_s_q13));
 }

@@ -29,7 +29,7 @@ kinematics_force traction_inertia_force(const parameters *p, odometry_heading he
     force.x_n_q6 = fixed_saturate_i16(fixed_shift_right((i32)x_q10 * mass_q8, 12)); /* Q18 -> Q6 */
     force.y_n_q6 = fixed_saturate_i16(fixed_shift_right((i32)y_q10 * mass_q8, 12)); /* Q18 -> Q6 */
     force.torque_n_m_q8 = fixed_saturate_i16(
-        fixed_shift_right((i32)turning_q8 * PARAMETER_GET(p, inertia_q12), 12)); /* Q20 -> Q8 */
+        fixed_shift_right((i32)turning_q8 * PARAMETER_GET(p, inertia_q13), 13)); /* Q21 -> Q8 */
     return force;
 }
 

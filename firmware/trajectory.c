@@ -268,9 +268,9 @@ static void set_grip(trajectory *t, const parameters *p) {
     /* N Q8 / kg Q8 -> m/s2 Q10 */
     t->grip_acceleration_q10 = fixed_saturate_i16(
         fixed_divide(limit_q8, carried(share_q13, PARAMETER_GET(p, mass_q8)), 10));
-    /* N Q8 / kg m Q12 -> rad/s2 Q8 */
+    /* N Q8 / kg m Q13 -> rad/s2 Q8 */
     t->grip_angular_acceleration_q8 = fixed_saturate_i16(
-        fixed_divide(limit_q8, carried(turning_share_q13, PARAMETER_GET(p, inertia_q12)), 12));
+        fixed_divide(limit_q8, carried(turning_share_q13, PARAMETER_GET(p, inertia_q13)), 13));
 }
 
 /* The plan to begin with; 0 when none is known to fit. */

@@ -3,7 +3,7 @@
 
 #include "firmware/fixed_point.h"
 
-#define FORCE_LIMIT_Q25 ((i32)2 << 25) /* times the grip */
+#define FORCE_LIMIT_Q23 ((i32)2 << 23) /* times the grip */
 #define STANDING_COUNTS 2              /* a counter on the edge of a slit */
 #define REVERSED_RAD_S_Q5 (20 * 32)    /* slower ones are standing */
 #define GLITCH_SCORE 64
@@ -40,8 +40,8 @@ static u16 is_stalled(const parameters *p, const wheel_monitor_input *input) {
 
 static supervisor_fault impossible_force(wheel_monitor *monitor, const parameters *p,
                                          const wheel_monitor_input *input) {
-    const int strained = magnitude((i32)input->force_n_q8 * PARAMETER_GET(p, grip_inverse_q17)) >
-                         FORCE_LIMIT_Q25; /* Q8 * Q17 */
+    const int strained = magnitude((i32)input->force_n_q8 * PARAMETER_GET(p, grip_inverse_q15)) >
+                         FORCE_LIMIT_Q23; /* Q8 * Q15 */
     const int against = magnitude(input->shaft_rad_s_q5) > REVERSED_RAD_S_Q5 &&
                         (input->shaft_rad_s_q5 < 0) != (input->voltage_v_q9 < 0) &&
                         input->voltage_v_q9 != 0;

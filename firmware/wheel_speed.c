@@ -24,7 +24,7 @@ i16 wheel_speed_step_rad_s_q5(wheel_speed *state, const parameters *p, u16 count
     const i16 counts = wrapped_difference(count, state->history[state->oldest]);
     state->history[state->oldest] = count;
     state->oldest = (u16)((state->oldest + 1U) % WHEEL_SPEED_WINDOW);
-    /* Q0 * Q12 / 4 -> Q5: 12 - 5 + 2 = 9 */
+    /* Q0 * Q10 / 4 -> Q5: 10 - 5 + 2 = 7 */
     return fixed_saturate_i16(
-        fixed_shift_right((i32)counts * PARAMETER_GET(p, shaft_speed_per_count_q12), 9));
+        fixed_shift_right((i32)counts * PARAMETER_GET(p, shaft_speed_per_count_q10), 7));
 }

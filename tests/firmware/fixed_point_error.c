@@ -182,7 +182,7 @@ static double exact_voltage(i16 force_q8, i16 shaft_q5, i16 change_q5) {
     const double force_n = force_q8 / 256.0 + real(PARAMETER_ID_drag_q14, 14) * shaft_q5 / 32.0 +
                            real(PARAMETER_ID_coulomb_force_q8, 8) * sign +
                            real(PARAMETER_ID_momentum_per_tick_q10, 10) * change_q5 / 32.0;
-    return reference_clamp(force_n, -512.0, 511.98) * real(PARAMETER_ID_volt_per_force_q15, 15) *
+    return reference_clamp(force_n, -512.0, 511.98) * real(PARAMETER_ID_volt_per_force_q13, 13) *
            512.0;
 }
 
@@ -199,7 +199,7 @@ static void motor(void) {
 }
 
 static void contact(void) {
-    const double grip_n = 1.0 / real(PARAMETER_ID_grip_inverse_q17, 17);
+    const double grip_n = 1.0 / real(PARAMETER_ID_grip_inverse_q15, 15);
     const double per_tangent = real(PARAMETER_ID_slip_per_tangent_q18, 18);
     double slip = 0.0, roller = 0.0;
     parameters_set(&p, PARAMETER_ID_slip_saturation_q15, 31457); /* 0.96 */

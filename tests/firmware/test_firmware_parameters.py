@@ -2,18 +2,17 @@
 
 import math
 import re
-from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from omnislip.firmware_parameters import (
     firmware_parameters,
     kinematic_matrix,
     null_vector,
     pseudo_inverse,
-    q_bits,
 )
+from omnislip.link.protocol import PARAMETERS
 
 NOMINAL = {
     "robot.mass_kg": 20.0,
@@ -34,24 +33,11 @@ NOMINAL = {
     "contact.gravity_m_s2": 9.81,
     "encoder.counts_per_rev": 2000,
 }
-TABLE_LINE = re.compile(r"PARAMETER\((\w+), [^,]+, (\d+), (-?\d+), (-?\d+), (-?\d+), \"[^\"]+\"\)")
-
-
-def table() -> dict[str, tuple[int, int, int, int]]:
-    """Name -> (q_bits, minimum, maximum, default) of firmware/parameters.def."""
-    text = (Path(__file__).parents[2] / "firmware" / "parameters.def").read_text()
-    rows = TABLE_LINE.findall(text)
-    assert len(rows) == text.count("\nPARAMETER(")
-    return {name: tuple(int(number) for number in numbers) for name, *numbers in rows}
 
 
 def test_nominal_robot_gives_the_defaults_of_the_table():
-    defaults = {name: row[3] for name, row in table().items()}
+    defaults = {name: row.default for name, row in PARAMETERS.items()}
     assert firmware_parameters(NOMINAL) == defaults
-
-
-def test_q_bits_of_the_names_are_those_of_the_table():
-    assert all(q_bits(name) == row[0] for name, row in table().items())
 
 
 @given(
@@ -74,9 +60,78 @@ def test_robots_of_this_class_fit_the_limits_of_the_table(
         "motor.resistance_ohm": resistance,
         "motor.supply_v": supply,
     }
-    raw = firmware_parameters(NOMINAL | changed)
-    for name, (_, minimum, maximum, _) in table().items():
-        assert minimum <= raw[name] <= maximum, name
+    assert_within_the_table(firmware_parameters(NOMINAL | changed))
+
+
+def assert_within_the_table(raw: dict[str, int]) -> None:
+    assert list(raw) != [] and set(raw) == set(PARAMETERS)
+    for name, row in PARAMETERS.items():
+        assert row.minimum <= raw[name] <= row.maximum, name
+
+
+@st.composite
+def robots(draw, mass_kg, wheel_radius_m, wheel_distance_m, power_w, supply_v, lines):
+    """Robots of a league. Motors: no-load speed of shaft and rim, power at half of that speed 1 to
+    4 times the rated power; the encoder has `lines`, four counts each."""
+
+    def between(low, high):
+        return draw(st.floats(low, high))
+
+    mass = between(*mass_kg)
+    distance, radius, supply = (
+        between(*wheel_distance_m),
+        between(*wheel_radius_m),
+        between(*supply_v),
+    )
+    no_load_rad_s, no_load_m_s = between(200.0, 1200.0), between(2.0, 5.0)
+    gear = max(1.0, no_load_rad_s * radius / no_load_m_s)
+    half_angle = between(30.0, 60.0)
+    return {
+        "robot.mass_kg": mass,
+        "robot.inertia_kg_m2": between(0.3, 0.7) * mass * distance**2,
+        "robot.wheel_radius_m": radius,
+        "robot.wheel_distance_m": distance,
+        "robot.wheel_angles_deg": [half_angle, 180 - half_angle, 180 + half_angle, -half_angle],
+        "motor.resistance_ohm": supply**2 / (4.0 * between(*power_w) * between(1.0, 4.0)),
+        "motor.torque_constant_nm_a": supply / no_load_rad_s,
+        "motor.back_emf_constant_v_s_rad": supply / no_load_rad_s,
+        "motor.gear_ratio": gear,
+        "motor.inertia_kg_m2": between(5e-7, 3e-5),
+        "motor.viscous_friction_nm_s": between(0.0, 2e-5),
+        "motor.supply_v": supply,
+        "contact.mu_drive": between(0.3, 0.9),
+        "contact.mu_roller": between(0.0, 0.1),
+        "contact.slip_stiffness_s_m": between(10.0, 100.0),
+        "contact.gravity_m_s2": 9.81,
+        "encoder.counts_per_rev": 4 * draw(st.integers(*lines)),
+    }
+
+
+SMALL_SIZE = robots((2.0, 3.0), (0.025, 0.035), (0.07, 0.09), (12.0, 70.0), (7.0, 25.0), (64, 4096))
+MIDDLE_SIZE = robots((20.0, 40.0), (0.04, 0.08), (0.15, 0.25), (50.0, 200.0), (18, 48), (64, 4096))
+ANY_OF_THEM = robots((2.0, 40.0), (0.025, 0.08), (0.06, 0.3), (5.0, 200.0), (7.0, 48.0), (64, 4096))
+
+
+@given(robot=st.one_of(SMALL_SIZE, MIDDLE_SIZE))
+def test_robots_of_both_leagues_have_parameters(robot):
+    """Within the limits that firmware/README.md states for wheel, gear and motor."""
+    rim_m = robot["robot.wheel_radius_m"] / robot["motor.gear_ratio"]
+    force_n_v = robot["motor.torque_constant_nm_a"] / robot["motor.resistance_ohm"] / rim_m
+    drag_n_s = force_n_v * robot["motor.back_emf_constant_v_s_rad"]
+    assume(0.002 < rim_m < 0.031 and 0.25 < force_n_v < 32.0 and drag_n_s < 1.9)
+    assert_within_the_table(firmware_parameters(robot))
+
+
+@given(robot=ANY_OF_THEM)
+def test_any_robot_has_parameters_or_is_refused_by_a_key_of_its_own(robot):
+    try:
+        raw = firmware_parameters(robot)
+    except ValueError as error:
+        key, _, reason = str(error).partition(": ")
+        assert all(name in robot for name in key.split(", "))
+        assert reason and "\n" not in reason
+    else:
+        assert_within_the_table(raw)
 
 
 @given(
@@ -131,7 +186,7 @@ def test_gains_place_both_poles_at_ten_rad_s():
         ("robot.wheel_radius_m", 0.8, "robot.wheel_radius_m"),
         ("robot.wheel_angles_deg", [30.0, 150.0, 210.0], "robot.wheel_angles_deg"),
         ("robot.wheel_angles_deg", [30.0] * 4, "robot.wheel_angles_deg"),
-        ("motor.supply_v", 5.0, "motor.supply_v"),
+        ("motor.supply_v", 3.0, "motor.supply_v"),
         ("motor.viscous_friction_nm_s", -1.0, "motor.viscous_friction_nm_s"),
         ("contact.slip_stiffness_s_m", 2.0, "contact.slip_stiffness_s_m"),
         ("encoder.counts_per_rev", 4, "encoder.counts_per_rev"),

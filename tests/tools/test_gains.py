@@ -36,7 +36,7 @@ def test_scales_and_sums_change_the_believed_value():
     model = with_effects(Effect("payload", {"mass_kg": 4.0}), Effect("low_grip", {"scale": 0.5}))
     raw = gains(model).raw
     assert raw["mass_q8"] == 24 * 256
-    assert raw["grip_inverse_q17"] == round(2**17 / (0.3 * 24 * 9.81 / 4))
+    assert raw["grip_inverse_q15"] == round(2**15 / (0.3 * 24 * 9.81 / 4))
 
 
 def test_what_the_firmware_has_no_term_for_is_named():

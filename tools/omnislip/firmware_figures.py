@@ -44,7 +44,7 @@ GRIPS = (0.6, 0.5, 0.7)
 ODOMETRY_SEEDS = tuple(range(6))
 NO_ACCELERATION_LIMIT = {"acceleration_limit_q10": 32767}
 NO_TRACTION_LIMIT = {"traction_limit_q8": 32767}
-NO_BODY = {"mass_q8": 128, "inertia_q12": 16}
+NO_BODY = {"mass_q8": 128, "inertia_q13": 16}
 MODEL = read_model(NOMINAL_ROBOT)
 
 

@@ -15,12 +15,15 @@ Gains: seen at the rim, a wheel that drives its share of the robot obeys ``M v' 
 
     ``Kp = (2 p M - B) / A``,  ``Ki = p^2 M / A``,  ``p = max(10 rad/s, B / M)``
 
-but no faster than ``Kp`` = 1 V s/rad allows: a motor that weak is at full voltage anyway. A lighter
+but no faster than ``Kp`` = 1 V s/rad allows: a motor that weak is at full voltage anyway. Where
+``B / M`` is above 50 rad/s, a strong motor on a light robot, ``Ki = (50 rad/s)^2 M / A`` leaves one
+pole slower, so that the delay below does not matter. A lighter
 axis (y, rotation, a wheel that slides) is faster by the ratio of the masses. At 10 rad/s
 the fastest, the nominal sliding wheel with M = J0 (n/R)^2, keeps 60 degrees of phase margin with
 the 2.5 ms of delay of speed window and hold. The plant is of first order, so the derivative gain
-is 0. The position loops run at 0.4 p and 0.5 p. Demanded accelerations use half of the grip,
-corrections up to 0.7 of it.
+is 0. The position loops run at 0.4 p and 0.5 p, but no faster than 25 rad/s, where 5 ms of delay,
+window and observer together, cost 7 degrees. Demanded accelerations use half of the grip,
+corrections up to 0.7 of it; rotation no more than the 126 rad/s2 that the firmware can demand.
 
 Observer: an error of 1 % of the grip is an error of 14 % of the slip at 0.93 of the grip, of 25 %
 at 0.96; the inversion ends at 0.93. Larger gains than 0.4 follow an impact no better.
@@ -34,18 +37,23 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
+from omnislip.link.protocol import PARAMETERS
+
 TICK_S = 0.001
 SPEED_POLE_RAD_S = 10.0
 LARGEST_SPEED_GAIN_V_S_RAD = 32767 / 32768
+INTEGRAL_POLE_LIMIT_RAD_S = 50.0
+POSITION_POLE_LIMIT_RAD_S = 25.0
 SPEED_LIMIT_M_S = 2.5
 OMEGA_LIMIT_RAD_S = 10.0
+ANGULAR_ACCELERATION_LIMIT_RAD_S2 = 126.0
 ACCELERATION_GRIP_SHARE = 0.5
 TRACTION_GRIP_SHARE = 0.7
 SLIP_SATURATION = 0.93
 OUTSIDE_POSE_GAIN = 0.25
 CURRENT_LIMIT_GRIPS = 4.0
 SHAFT_SPEED_LIMIT_NO_LOADS = 1.5
-LOWEST_SUPPLY_V = 8.01
+LOWEST_SUPPLY_V = 4.01
 
 Matrix = list[list[float]]
 
@@ -117,7 +125,7 @@ def _geometry(values: Mapping[str, float], angles_deg: Sequence[float]) -> dict[
         "wheel_distance_q15": values["robot.wheel_distance_m"],
         "rim_per_shaft_q20": rim_m,
         "shaft_per_rim_q6": 1.0 / rim_m,
-        "shaft_speed_per_count_q12": 2.0 * math.pi / values["encoder.counts_per_rev"] / TICK_S,
+        "shaft_speed_per_count_q10": 2.0 * math.pi / values["encoder.counts_per_rev"] / TICK_S,
     }
 
 
@@ -130,7 +138,7 @@ def _motor(values: Mapping[str, float]) -> dict[str, float]:
     )
     return {
         "force_per_volt_q10": per_rim_1_m * torque_per_volt,
-        "volt_per_force_q15": 1.0 / (per_rim_1_m * torque_per_volt),
+        "volt_per_force_q13": 1.0 / (per_rim_1_m * torque_per_volt),
         "drag_q14": per_rim_1_m * drag_nm_s,
         "momentum_per_tick_q10": per_rim_1_m * values["motor.inertia_kg_m2"] / TICK_S,
         "coulomb_force_q8": per_rim_1_m * values["motor.coulomb_friction_nm"],
@@ -141,14 +149,14 @@ def _motor(values: Mapping[str, float]) -> dict[str, float]:
 def _contact(values: Mapping[str, float]) -> dict[str, float]:
     load_n = values["robot.mass_kg"] * values["contact.gravity_m_s2"] / 4.0
     return {
-        "grip_inverse_q17": 1.0 / (values["contact.mu_drive"] * load_n),
+        "grip_inverse_q15": 1.0 / (values["contact.mu_drive"] * load_n),
         "slip_per_tangent_q18": 1.0 / values["contact.slip_stiffness_s_m"],
         "slip_saturation_q15": SLIP_SATURATION,
         "roller_grip_q8": values["contact.mu_roller"] * load_n,
         "mass_q8": values["robot.mass_kg"],
-        "inertia_q12": values["robot.inertia_kg_m2"],
+        "inertia_q13": values["robot.inertia_kg_m2"],
         "velocity_per_force_q25": TICK_S / values["robot.mass_kg"],
-        "omega_per_torque_q20": TICK_S / values["robot.inertia_kg_m2"],
+        "omega_per_torque_q16": TICK_S / values["robot.inertia_kg_m2"],
     }
 
 
@@ -174,21 +182,21 @@ def _gains(values: Mapping[str, float], angles_deg: Sequence[float]) -> dict[str
         (drag_n_s_m + motor["force_per_volt_q10"] * largest_volt_s_m) / (2.0 * mass_kg),
     )
     volt_s_m = (2.0 * pole_1_s * mass_kg - drag_n_s_m) / motor["force_per_volt_q10"]
-    volt_m = pole_1_s**2 * mass_kg / motor["force_per_volt_q10"]
+    volt_m = min(pole_1_s, INTEGRAL_POLE_LIMIT_RAD_S) ** 2 * mass_kg / motor["force_per_volt_q10"]
     return {
         "speed_gain_q15": volt_s_m * rim_m,
         "speed_integral_q22": volt_m * rim_m * TICK_S,
         "speed_derivative_q12": 0.0,
         "outside_pose_gain_q15": OUTSIDE_POSE_GAIN,
-        "position_gain_q20": 0.4 * pole_1_s * TICK_S,
-        "heading_gain_q20": 0.5 * pole_1_s * TICK_S,
+        "position_gain_q20": min(0.4 * pole_1_s, POSITION_POLE_LIMIT_RAD_S) * TICK_S,
+        "heading_gain_q20": min(0.5 * pole_1_s, POSITION_POLE_LIMIT_RAD_S) * TICK_S,
     }
 
 
 def _limits(values: Mapping[str, float], angles_deg: Sequence[float]) -> dict[str, float]:
     distance_m = values["robot.wheel_distance_m"]
     forward = pseudo_inverse(kinematic_matrix(angles_deg, distance_m))
-    grip_n = 1.0 / _contact(values)["grip_inverse_q17"]
+    grip_n = 1.0 / _contact(values)["grip_inverse_q15"]
     wheel_share = max(abs(entry) for row in forward[:2] for entry in row)
     turning_share = max(abs(entry) for entry in forward[2])
     half_grip_n = ACCELERATION_GRIP_SHARE * grip_n
@@ -200,15 +208,17 @@ def _limits(values: Mapping[str, float], angles_deg: Sequence[float]) -> dict[st
         "speed_limit_q13": min(SPEED_LIMIT_M_S, rim_limit_m_s),
         "omega_limit_q11": min(OMEGA_LIMIT_RAD_S, rim_limit_m_s / distance_m),
         "acceleration_limit_q10": half_grip_n / (wheel_share * values["robot.mass_kg"]),
-        "angular_acceleration_limit_q8": half_grip_n
-        / (turning_share * values["robot.inertia_kg_m2"]),
+        "angular_acceleration_limit_q8": min(
+            half_grip_n / (turning_share * values["robot.inertia_kg_m2"]),
+            ANGULAR_ACCELERATION_LIMIT_RAD_S2,
+        ),
         "traction_limit_q8": TRACTION_GRIP_SHARE * grip_n,
         "duty_limit_q15": 32767.0 / 32768.0,
         "supply_minimum_q9": max(LOWEST_SUPPLY_V, 0.5 * values["motor.supply_v"]),
         "current_limit_ma": min(1000.0 * CURRENT_LIMIT_GRIPS * grip_a, 32767.0),
         "encoder_step_limit": SHAFT_SPEED_LIMIT_NO_LOADS
         * no_load_rad_s
-        / _geometry(values, angles_deg)["shaft_speed_per_count_q12"],
+        / _geometry(values, angles_deg)["shaft_speed_per_count_q10"],
         "command_timeout_ms": 200.0,
     }
 
@@ -225,6 +235,7 @@ _KEYS = {
     "drag": "motor.back_emf_constant_v_s_rad, motor.viscous_friction_nm_s",
     "momentum_per_tick": "motor.inertia_kg_m2",
     "current_per_volt": "motor.resistance_ohm",
+    "current_limit": "motor.torque_constant_nm_a, contact.mu_drive",
     "grip_inverse": "contact.mu_drive, robot.mass_kg",
     "slip_per_tangent": "contact.slip_stiffness_s_m",
     "roller_grip": "contact.mu_roller, robot.mass_kg",
@@ -261,25 +272,19 @@ _OTHER_KEYS = ("motor.inertia_kg_m2", "motor.viscous_friction_nm_s", "contact.mu
 _OPTIONAL_KEYS = {"motor.coulomb_friction_nm": 0.0}
 
 
-def q_bits(name: str) -> int:
-    """Return the fractional bits that a parameter's name states (0 when it states none)."""
-    head, _, tail = name.rpartition("_q")
-    return int(tail) if head and tail.isdigit() else 0
-
-
 def _raw(name: str, value: float) -> int:
-    raw = round(value * 2 ** q_bits(name))
+    row = PARAMETERS[name]
+    raw = round(value * 2**row.q_bits)
     # A magnitude of exactly 1 in Q15 is stored as the largest number, 3e-5 less.
     raw = 32767 * (raw // abs(raw)) if abs(raw) == 32768 else raw
-    vanished = raw == 0 and value != 0.0 and not name.startswith(("drive_", "forward_", "null_"))
-    if abs(raw) > 32767 or vanished:
-        parameter = name.removesuffix(f"_q{q_bits(name)}")
+    if not row.minimum <= raw <= row.maximum:
+        parameter = name.removesuffix(f"_q{row.q_bits}")
         stem = parameter if parameter in _KEYS else parameter.split("_")[0]
         key = _KEYS.get(stem, "robot.wheel_angles_deg")
-        largest = 32767 / 2 ** q_bits(name)
+        low, high = row.value(row.minimum), row.value(row.maximum)
         raise ValueError(
-            f"{key}: firmware parameter {name} would be {value:.6g}, "
-            f"its format holds {1 / 2 ** q_bits(name):.3g} to {largest:.6g}"
+            f"{key}: firmware parameter {name} would be {value:.6g} {row.unit}, "
+            f"it must be {low:.6g} to {high:.6g}"
         )
     return raw
 

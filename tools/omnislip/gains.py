@@ -5,17 +5,13 @@ does) are taken into the values where the firmware has a term for them, see EFFE
 named, so that nobody believes the firmware to know them.
 """
 
-import re
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 from omnislip.errors import InputError
-from omnislip.firmware_parameters import firmware_parameters, q_bits
+from omnislip.firmware_parameters import firmware_parameters
+from omnislip.link.protocol import PARAMETERS
 from omnislip.model_file import Model
-
-TABLE = Path(__file__).parents[2] / "firmware" / "parameters.def"
-_LINE = re.compile(r'PARAMETER\((\w+), ([^,]+), \d+, -?\d+, -?\d+, -?\d+, "([^"]+)"\)')
 
 Change = Callable[[float, float], float]
 
@@ -81,20 +77,16 @@ def gains(model: Model) -> Gains:
 
 def describe(found: Gains) -> dict[str, object]:
     """Return what `omnislip gains --json` prints: value, unit, raw and text per parameter."""
-    try:
-        lines = _LINE.findall(TABLE.read_text())
-    except OSError as error:
-        raise InputError(f"{TABLE}: cannot be read: {error.strerror}") from None
     return {
         "schema": "omnislip-gains/1",
         "parameters": {
             name: {
-                "value": found.raw[name] / 2 ** q_bits(name),
-                "unit": unit,
+                "value": row.value(found.raw[name]),
+                "unit": row.unit,
                 "raw": found.raw[name],
-                "description": description,
+                "description": row.description,
             }
-            for name, unit, description in lines
+            for name, row in PARAMETERS.items()
         },
         "effects_used": found.effects_used,
         "effects_not_used": found.effects_not_used,
