@@ -17,6 +17,7 @@ HERE = ROOT / "tests/firmware"
 LIMIT = 0.98
 PLANTS = [
     HERE / "reference_plant.c",
+    HERE / "closed_loop.c",
     HERE / "robot_bench.c",
     ROOT / "hal/host/hal_host.c",
     ROOT / "hal/host/hal_host_store.c",

@@ -28,7 +28,8 @@ MODULES = (
 # In order of the time they take; the last has no Unity.
 TESTS = (
     *("test_wheel", "test_supervisor", "test_slip_observer", "test_arithmetic"),
-    *("test_outside_pose", "test_link", "test_robot", "test_motion", "test_control_loop"),
+    *("test_outside_pose", "test_link", "test_robot", "test_safe_states", "test_pose_control"),
+    *("test_control_loop", "test_impact", "test_motion"),
     "fixed_point_error",
 )
 GOAL = 0.9

@@ -6,8 +6,9 @@
 
 #include "hal/host/hal_host.h"
 
-/* The fastest motion, a wheel against its floor, has a time constant of 1.9 ms. */
-#if INT_MAX == 32767 /* a simulated processor, for which this plant is most of the work */
+/* The fastest motion, a wheel against its floor, has a time constant of 1.9 ms. In a tick it decays
+ * to 0.591; four steps of the midpoint rule make that 0.592, one makes it 0.612. */
+#if INT_MAX == 32767 /* a simulated processor, for which this plant is much of the work */
 #define STEPS_PER_TICK 1
 #else
 #define STEPS_PER_TICK 4
@@ -32,7 +33,8 @@ static double current_a(const reference_plant *plant, const double *s, int wheel
 }
 
 static void derivative(const reference_plant *plant, const double *s, double *d) {
-    const double vx = s[PLANT_VX], vy = s[PLANT_VY], w = s[PLANT_W], theta = s[PLANT_THETA];
+    const double vx = s[PLANT_VX], vy = s[PLANT_VY], w = s[PLANT_W];
+    const double cosine = cos(s[PLANT_THETA]), sine = sin(s[PLANT_THETA]);
     double fx = 0.0, fy = 0.0, torque = 0.0;
     int i;
     for (i = 0; i < 4; i++) {
@@ -40,8 +42,8 @@ static void derivative(const reference_plant *plant, const double *s, double *d)
         const double slip = radius_m * s[i] / gear - (-sn * vx + c * vy + distance_m * w);
         const double drive_n = friction(plant->mu_drive, slip);
         const double roller_n = -friction(mu_roller, c * vx + sn * vy);
-        const double torque_nm =
-            torque_constant * current_a(plant, s, i) - plant->coulomb_nm * tanh(s[i] / 0.5);
+        const double dry_nm = plant->coulomb_nm > 0.0 ? plant->coulomb_nm * tanh(s[i] / 0.5) : 0.0;
+        const double torque_nm = torque_constant * current_a(plant, s, i) - dry_nm;
         d[i] = (torque_nm - viscous_nm_s * s[i] - radius_m / gear * drive_n) / shaft_inertia_kg_m2;
         if (plant->shaft_blocked[i])
             d[i] = 0.0;
@@ -53,8 +55,8 @@ static void derivative(const reference_plant *plant, const double *s, double *d)
     d[PLANT_VX] = fx / mass_kg + w * vy;
     d[PLANT_VY] = fy / mass_kg - w * vx;
     d[PLANT_W] = torque / inertia_kg_m2;
-    d[PLANT_X] = cos(theta) * vx - sin(theta) * vy;
-    d[PLANT_Y] = sin(theta) * vx + cos(theta) * vy;
+    d[PLANT_X] = cosine * vx - sine * vy;
+    d[PLANT_Y] = sine * vx + cosine * vy;
     d[PLANT_THETA] = w;
 }
 
@@ -64,20 +66,12 @@ static void advance(double *out, const double *s, const double *d, double h) {
         out[i] = s[i] + h * d[i];
 }
 
-static void runge_kutta_step(reference_plant *plant, double h) {
-    double k1[PLANT_STATES], k2[PLANT_STATES], k3[PLANT_STATES], k4[PLANT_STATES];
-    double trial[PLANT_STATES];
-    int i;
-    derivative(plant, plant->state, k1);
-    advance(trial, plant->state, k1, h / 2.0);
-    derivative(plant, trial, k2);
-    advance(trial, plant->state, k2, h / 2.0);
-    derivative(plant, trial, k3);
-    advance(trial, plant->state, k3, h);
-    derivative(plant, trial, k4);
-    for (i = 0; i < PLANT_STATES; i++) {
-        plant->state[i] += h / 6.0 * (k1[i] + 2.0 * k2[i] + 2.0 * k3[i] + k4[i]);
-    }
+static void midpoint_step(reference_plant *plant, double h) {
+    double slope[PLANT_STATES], middle[PLANT_STATES];
+    derivative(plant, plant->state, slope);
+    advance(middle, plant->state, slope, h / 2.0);
+    derivative(plant, middle, slope);
+    advance(plant->state, plant->state, slope, h);
 }
 
 static void read_counts(void *context, uint16_t counts[4]) {
@@ -160,5 +154,5 @@ void reference_plant_tick(reference_plant *plant, control_loop *loop) {
     int i;
     control_loop_tick(loop);
     for (i = 0; i < STEPS_PER_TICK; i++)
-        runge_kutta_step(plant, 0.001 / STEPS_PER_TICK);
+        midpoint_step(plant, 0.001 / STEPS_PER_TICK);
 }

@@ -5,9 +5,9 @@
  *     f_i = mu_drive N (2/pi) atan(k s_i),   s_i = R W_i / n - J_i v,   f_Fi = -mu_roller N (2/pi)
  * atan(k r_i v)
  *
- * Classical Runge-Kutta of order 4, four steps per 1 ms tick (on an AVR, whose double is a float,
- * one). SI units, state order: W1..4, vx, vy,
- * w, x, y, theta, shaft angles. Source: paper equations (7), (8), (11)-(13).
+ * Midpoint rule, four steps per 1 ms tick (on an AVR, whose double is a float, one). SI units,
+ * state order: W1..4, vx, vy, w, x, y, theta, shaft angles. Source: paper equations (7), (8),
+ * (11)-(13).
  */
 #ifndef TESTS_FIRMWARE_REFERENCE_PLANT_H
 #define TESTS_FIRMWARE_REFERENCE_PLANT_H
