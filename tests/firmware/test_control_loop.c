@@ -122,6 +122,9 @@ static void weak_supply_is_reported_as_the_limit(void) {
     TEST_ASSERT_EQUAL(CONTROL_LIMIT_VOLTAGE, loop.telemetry.limit);
     TEST_ASSERT_TRUE(loop.telemetry.limit_wheel >= 1 && loop.telemetry.limit_wheel <= 4);
     TEST_ASSERT_TRUE(largest_duty() <= 6000.0 / 32768.0);
+    drive(0, 0, 0, 1500); /* at rest nothing limits */
+    TEST_ASSERT_EQUAL(CONTROL_LIMIT_NONE, loop.telemetry.limit);
+    TEST_ASSERT_EQUAL_UINT16(0, loop.telemetry.limit_wheel);
 }
 
 static void supply_voltage_does_not_change_the_motion(void) {

@@ -75,20 +75,36 @@ static void outside_pose_moves_the_robot_without_a_jump_of_the_speed(void) {
     TEST_ASSERT_DOUBLE_WITHIN(2.0, 0.0, believed_y_mm());
 }
 
-/* A camera that says that a standing robot looks 100 mrad to the left of its belief: it turns back,
- * and stays where it is. */
-static void heading_error_is_turned_back(void) {
+/* A camera that sees a standing robot 30 mm ahead and 20 mm to the right of its belief, turned left
+ * by 100 mrad: it undoes each of the three. */
+static void a_standing_robot_returns_to_where_it_was_told_to_stand(void) {
     drive(0, 0, 0, 100);
     for (int n = 0; n < 125; n++) {
         const odometry_pose seen = {
-            0, 0, (i32)lround((1000.0 * plant.state[PLANT_THETA] + 100.0) * 8192.0)};
+            (i32)lround((true_x_mm() + 30.0) * 8192.0), (i32)lround((true_y_mm() - 20.0) * 8192.0),
+            (i32)lround((1000.0 * plant.state[PLANT_THETA] + 100.0) * 8192.0)};
         TEST_ASSERT_TRUE(control_loop_outside_pose(&loop, &seen, 0));
         drive(0, 0, 0, 20);
     }
     TEST_ASSERT_DOUBLE_WITHIN(0.001, -0.1, plant.state[PLANT_THETA]);
     TEST_ASSERT_DOUBLE_WITHIN(0.5, 0.0, loop.telemetry.pose.theta_mrad_q13 / 8192.0);
-    TEST_ASSERT_DOUBLE_WITHIN(1.0, 0.0, true_x_mm());
-    TEST_ASSERT_DOUBLE_WITHIN(1.0, 0.0, true_y_mm());
+    TEST_ASSERT_DOUBLE_WITHIN(1.0, -30.0, true_x_mm());
+    TEST_ASSERT_DOUBLE_WITHIN(1.0, 20.0, true_y_mm());
+}
+
+/* On the way the plan has become short; a repetition leaves it so. After another command the same
+ * pose is planned from where the robot then is. */
+static void only_a_repeated_pose_command_keeps_its_plan(void) {
+    const odometry_pose goal = {500L * 8192, 0, 0};
+    trajectory before;
+    go_to(&goal, 100);
+    before = loop.target;
+    control_loop_command_pose(&loop, &goal, &still);
+    TEST_ASSERT_EQUAL_MEMORY(&before, &loop.target, sizeof before);
+    drive(0, 0, 0, 1);
+    before = loop.target;
+    control_loop_command_pose(&loop, &goal, &still);
+    TEST_ASSERT_TRUE(memcmp(&before, &loop.target, sizeof before) != 0);
 }
 
 /* A command that differs in any one of its numbers is another command. */
@@ -121,7 +137,8 @@ int main(void) {
     RUN_TEST(unreachable_pose_leaves_the_command_in_force);
     RUN_TEST(change_of_command_does_not_jump);
     RUN_TEST(outside_pose_moves_the_robot_without_a_jump_of_the_speed);
-    RUN_TEST(heading_error_is_turned_back);
+    RUN_TEST(a_standing_robot_returns_to_where_it_was_told_to_stand);
+    RUN_TEST(only_a_repeated_pose_command_keeps_its_plan);
     RUN_TEST(each_number_of_a_pose_command_counts);
     return UNITY_END();
 }

@@ -34,12 +34,13 @@ static void commands_need_arming(void) {
 /* A fault seen before the first tick: the counters of a board that was reset while the wheels
  * stood anywhere are still no step. */
 static void fault_at_boot_waits_to_be_cleared(void) {
-    plant.seen_angle_rad[1] = 31.0;
+    plant.seen_angle_rad[0] = 31.0; /* 9867.6 counts */
     control_loop_init(&loop, &p);
     supervisor_report(&loop, SUPERVISOR_FAULT_STORE);
     control_loop_tick(&loop);
     TEST_ASSERT_EQUAL(SUPERVISOR_FAULT_STORE, loop.telemetry.fault);
-    TEST_ASSERT_EQUAL_INT16(0, loop.telemetry.shaft_rad_s_q5[1]);
+    TEST_ASSERT_EQUAL_INT16(0, loop.telemetry.shaft_rad_s_q5[0]);
+    TEST_ASSERT_EQUAL_UINT16(9867, loop.telemetry.encoder_counts[0]); /* told in any state */
     TEST_ASSERT_FALSE(control_loop_arm(&loop));
     TEST_ASSERT_TRUE(control_loop_clear_fault(&loop));
     TEST_ASSERT_TRUE(control_loop_arm(&loop));

@@ -202,6 +202,7 @@ static void rollers_brake_against_the_motion(void) {
     f = contact_roller_force(&p, &left);
     TEST_ASSERT_DOUBLE_WITHIN(0.05, -4.801, f.y_n_q6 / 64.0);
     TEST_ASSERT_INT16_WITHIN(1, 0, f.x_n_q6);
+    TEST_ASSERT_EQUAL_INT16(0, f.torque_n_m_q8); /* they point at the centre */
 }
 
 /* 2 N of dry friction act against the shaft, less on the ramp of +-4 rad/s about rest; what is not
