@@ -113,6 +113,7 @@ static void duty_command_reaches_the_bridges_up_to_its_limit(void) {
     TEST_ASSERT_EQUAL_DOUBLE(-2000.0 / 32768.0, plant.duty[1]);
     TEST_ASSERT_EQUAL_DOUBLE(-0.5, plant.duty[2]);
     TEST_ASSERT_EQUAL_DOUBLE(0.5, plant.duty[3]);
+    TEST_ASSERT_EQUAL_UINT16(0, loop.telemetry.encoder_counts[0]); /* its neighbour in memory */
 }
 
 static void weak_supply_is_reported_as_the_limit(void) {
