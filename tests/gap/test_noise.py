@@ -1,10 +1,12 @@
 """The filter's noise: likelihoods along a path against filters of their own, and disturbances."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from axis_bench import Bench, make_machine, make_runs
 from omnislip.gap.machine import Machine
-from omnislip.gap.noise import NOISES, STEP_S, Noise, track_recordings, tune_noise
+from omnislip.gap.noise import NOISES, SENSOR_MARGIN, STEP_S, Noise, track_recordings, tune_noise
 from omnislip.gap.truth import TruthCase
 from omnislip.model_file import NOMINAL_ROBOT, read_model
 from truth_bench import runs_of
@@ -225,3 +227,21 @@ def test_disturbances_of_the_filter_are_what_they_are_said_to_be(robot):
     forgetful = Noise(renewed, output, certain, 0.0, 0.0, np.zeros(0))
     coloured = whitened(machine, recording, forgetful)
     assert np.mean(coloured[1:] * coloured[:-1]) > 5.0 * bound * np.mean(coloured**2)
+
+
+def test_a_wrong_model_is_not_blamed_on_the_sensors():
+    """A robot of twice the mass: its camera and gyro stay near the noise that they show.
+
+    The generator's camera has 2.5 mm, its gyro 4 mrad/s at noise level 1.
+    """
+    model = read_model(NOMINAL_ROBOT)
+    heavy = Machine(replace(model, values=model.values | {"robot.mass_kg": 40.0}))
+    runs = runs_of(heavy, TruthCase(5, runs=2, run_duration_s=4.0, sensors=("gyro", "pose")))
+    guess = NOISES["robot"][1](runs)
+    found = tune_noise(heavy, runs, heavy.believed)
+    sensors = [3, 4, 5]
+    assert np.all(found.logs <= guess.high + 1e-12)
+    assert np.all(found.logs >= guess.low - 1e-12)
+    assert np.all(np.isfinite(guess.high[sensors]))
+    # Second differences are those of the sensors, so the margin is one of their own noise.
+    assert np.sqrt(found.output[5]) < 2.5e-3 * np.exp(SENSOR_MARGIN / 2) * 2.0

@@ -611,6 +611,13 @@ def test_bad_effect_is_one_clear_line(effect, says):
     assert "\n" not in str(error.value)
 
 
+def test_two_pushes_are_never_in_one_run():
+    """The plant of the generator knows one push of each run."""
+    for seed in range(200):
+        runs = [e["run"] for e in random_case(seed, "impact").effects]
+        assert len(set(runs)) == len(runs)
+
+
 def test_impact_needs_its_run():
     impact = {**typical_effect("impact").as_dict(), "run": None}
     with pytest.raises(InputError, match="needs run"):

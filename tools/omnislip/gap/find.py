@@ -53,9 +53,9 @@ SERIES_TO_HOLD_OUT_WHOLE = 3
 UNKNOWN_SHARE = 0.03
 """A leftover term that gains more than this share of the named effects makes the verdict unknown:
 the names are right in place perhaps, but wrong in shape."""
-PREDICTED_SHARE, PREDICTED_RUNS = 0.1, 0.75
-"""Share of the filter's disturbances that other runs predict, and in how many of the runs it has to
-help; where nothing is missing it is below 0.04."""
+PREDICTED_SHARE = 0.1
+"""Share of the filter's disturbances that other runs predict; where nothing is missing it is below
+0.04. More than half of the runs have to be helped: some hardly excite what is missing."""
 EXPLAINED = 0.9
 LEAST_EXCESS = 0.5
 """Excess of the square error, in noise floors, that counts as something left."""
@@ -244,8 +244,7 @@ def _verdict(outcome: Outcome, table: GapTable, mended: bool, shares: Sequence[P
 
 def _no_chance(found: Predictable) -> bool:
     """Whether what the filter takes for chance is predicted in most of the runs."""
-    most = found.runs_helped >= PREDICTED_RUNS * found.runs
-    return most and found.share > PREDICTED_SHARE
+    return found.share > PREDICTED_SHARE and found.runs_helped > found.runs / 2
 
 
 def _refused(outcome: Outcome) -> float:

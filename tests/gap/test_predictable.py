@@ -1,0 +1,46 @@
+"""Chance cannot be predicted; a force that no term was made for can."""
+
+import pytest
+from omnislip.gap.machine import Machine
+from omnislip.gap.predictable import EQUATIONS, predictable_shares
+from omnislip.gap.search import believed_hypothesis, settle
+from omnislip.gap.truth import TruthCase
+from omnislip.model_file import NOMINAL_ROBOT, read_model
+from truth_bench import runs_of
+
+
+def shares_of(effects=(), runs=6):
+    """Shares beside the believed model, its keys and the noise fitted."""
+    machine = Machine(read_model(NOMINAL_ROBOT))
+    case = TruthCase(
+        3,
+        effects=effects,
+        runs=runs,
+        run_duration_s=4.0,
+        base_offset_sd=0.0,
+        sensors=("gyro", "pose"),
+    )
+    logs = runs_of(machine, case)
+    data, fitted = settle(machine, logs, believed_hypothesis(machine))
+    values = fitted.hypothesis.flat(machine.believed)
+    return predictable_shares(machine, logs, data.noise, values)
+
+
+def test_chance_cannot_be_predicted():
+    found = shares_of()
+    assert {one.equation for one in found} == set(EQUATIONS)
+    assert found[0].share < 0.05
+
+
+def test_a_force_of_no_catalogue_is_predicted_where_it_acts():
+    """8 N s2/m2 at right angles to the velocity act on the body, not on the wheels."""
+    force = {"name": "lateral_speed_force", "parameters": {"coefficient_n_s2_m2": 8.0}}
+    found = shares_of((force,))
+    assert found[0].equation.startswith("body/")
+    assert found[0].share > 0.2
+    assert found[0].runs_helped > found[0].runs / 2
+
+
+@pytest.mark.parametrize("runs", [1, 2])
+def test_too_few_runs_to_learn_from_others(runs):
+    assert shares_of(runs=runs) == []
