@@ -61,7 +61,7 @@ def found(model: Path, logs: list[Log], folder: Path) -> dict:
 
 def said(verdict: str, *effects: tuple[str, list[str]]) -> dict:
     listed = [{"name": name, "ambiguous_with": rivals} for name, rivals in effects]
-    return {"verdict": verdict, "effects": listed}
+    return {"verdict": verdict, "effects": listed, "cautions": []}
 
 
 def test_another_name_without_a_warning_is_a_surprise():
@@ -69,6 +69,7 @@ def test_another_name_without_a_warning_is_a_surprise():
     other = ("driver_lag", [])
     assert surprises(said("effect_found", other), everything) == ["driver_lag"]
     assert surprises(said("unknown_effect", other), everything) == []
+    assert surprises(said("effect_found", other) | {"cautions": ["few logs"]}, everything) == []
     assert surprises(said("effect_found", ("driver_lag", ["coulomb_friction"])), everything) == []
     assert surprises(said("effect_found", ("stribeck_friction", [])), everything) == []
 

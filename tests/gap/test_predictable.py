@@ -23,7 +23,7 @@ def shares_of(effects=(), runs=6):
     logs = runs_of(machine, case)
     data, fitted = settle(machine, logs, believed_hypothesis(machine))
     values = fitted.hypothesis.flat(machine.believed)
-    return predictable_shares(machine, logs, data.noise, values)
+    return predictable_shares(machine, logs, data.noise, values, values)
 
 
 def test_chance_cannot_be_predicted():

@@ -50,6 +50,12 @@ Array = npt.NDArray[np.float64]
 SCHEMA = "omnislip-gap/1"
 RUNS_TO_HOLD_OUT_WHOLE = 5
 SERIES_TO_HOLD_OUT_WHOLE = 3
+WHOLE_RUNS = ("whole series (folders) of runs", "whole runs")
+"""How runs are held out where there are enough."""
+FEW_RUNS = (
+    f"With fewer than {RUNS_TO_HOLD_OUT_WHOLE} logs the choice was checked on parts of the runs "
+    "that were fitted: a name may change with more."
+)
 UNKNOWN_SHARE = 0.03
 """A leftover term that gains more than this share of the named effects makes the verdict unknown:
 the names are right in place perhaps, but wrong in shape."""
@@ -112,6 +118,8 @@ class Findings:
     """What an unknown effect looks like, where that can be said."""
     predictable: list[Predictable] = field(default_factory=list)
     """How much of what the filter takes for chance other runs predict, by equation."""
+    cautions: list[str] = field(default_factory=list)
+    """Why the names are less certain than they look, in sentences."""
 
 
 def find_gap(
@@ -188,8 +196,9 @@ def find_gap(
     )
     places = describe(fitted, gap_map) if outcome.selected else []
     progress("asking whether what is left is chance")
-    shares = predictable_shares(machine, fitted, outcome.data.noise, after)
+    shares = predictable_shares(machine, fitted, outcome.data.noise, after, refit)
     verdict = _verdict(outcome, table, bool(wiring or impacts), shares)
+    cautions = [FEW_RUNS] if outcome.selected and split.how not in WHOLE_RUNS else []
     unknown = None
     if verdict == "unknown_effect":
         progress("describing what is missing")
@@ -205,7 +214,8 @@ def find_gap(
     return Findings(
         verdict,
         _sentence(verdict, machine, outcome, table, wiring, impacts, unknown, shares)
-        + _advice(manoeuvres),
+        + _advice(manoeuvres)
+        + "".join(f" {caution}" for caution in cautions),
         machine,
         split,
         outcome,
@@ -221,6 +231,7 @@ def find_gap(
         inputs,
         unknown,
         shares,
+        cautions,
     )
 
 
@@ -315,11 +326,11 @@ def split_runs(
     if len(series) >= SERIES_TO_HOLD_OUT_WHOLE:
         roles = dict(zip(series, _roles(len(series)), strict=True))
         parts = [(roles[log.series], log, 0, len(log.t_s)) for log in logs]
-        how = "whole series (folders) of runs"
+        how = WHOLE_RUNS[0]
     elif len(logs) >= RUNS_TO_HOLD_OUT_WHOLE:
         roles = _roles(len(logs))
         parts = [(role, log, 0, len(log.t_s)) for role, log in zip(roles, logs, strict=True)]
-        how = "whole runs"
+        how = WHOLE_RUNS[1]
     elif len(logs) > 1:
         parts = [p for log in logs[:-1] for p in _cut(log, (0.0, 0.75, 1.0))]
         parts.append((2, logs[-1], 0, len(logs[-1].t_s)))
@@ -528,6 +539,7 @@ def to_json(findings: Findings) -> dict[str, Any]:
             }
             for u in (outcome.leftover if outcome else ())
         ],
+        "cautions": findings.cautions,
         "predictable": [asdict(one) for one in findings.predictable],
         "unknown_curve": _curve_json(findings.unknown) if findings.unknown else None,
         "gap": _table_json(table) if table else None,

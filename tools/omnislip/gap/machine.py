@@ -98,6 +98,11 @@ class Candidate:
         """Name for people: 'weak_motor (wheel 3)'."""
         return self.effect if self.wheel is None else f"{self.effect} (wheel {self.wheel})"
 
+    @property
+    def places(self) -> tuple[int, ...]:
+        """Where its parameters stand in the flat vector, which has the catalogue's order."""
+        return tuple(place for parameter in self.parameters for place in parameter.places)
+
 
 def axis_is_linear(model: Model) -> bool:
     """Return whether an axis model translates (mass, N) rather than turns (inertia, N m)."""

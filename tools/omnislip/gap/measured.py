@@ -201,11 +201,11 @@ def _robustness(
         variants = {"every second run": whole[::2], **variants}
     everything = to_json(findings)
     lines = [
-        "The same with less (a name is a surprise where all data name another one and no rival or "
-        "verdict warns):",
+        "The same with less (a name is a surprise where all data name another one and no rival, "
+        "verdict or caution warns):",
         "",
-        "| data | verdict | named | cannot be told from | surprise |",
-        "|---|---|---|---|---|",
+        "| data | verdict | named | cannot be told from | few logs | surprise |",
+        "|---|---|---|---|---|---|",
         _names_row("all", everything, everything),
     ]
     for name, changed in variants.items():
@@ -222,14 +222,15 @@ def _names_row(data: str, numbers: dict, everything: dict) -> str:
     effects = numbers["effects"] or numbers["nearest"]
     names = [e["name"] + (f" (wheel {e['wheel']})" if e["wheel"] else "") for e in effects]
     rivals = sorted({rival for e in effects for rival in e["ambiguous_with"]})
-    cells = (data, numbers["verdict"], ", ".join(names), ", ".join(rivals))
+    few = "caution" if numbers["cautions"] else ""
+    cells = (data, numbers["verdict"], ", ".join(names), ", ".join(rivals), few)
     return "| " + " | ".join((*cells, ", ".join(surprises(numbers, everything)))) + " |"
 
 
 def surprises(numbers: dict, everything: dict) -> list[str]:
     """Return the names that less data claim against all data, without a warning.
 
-    Both are gap.json. A warning is a rival in either that is named by the other.
+    Both are gap.json. A warning is a rival in either that is named by the other, or a caution.
     """
     known = {e["name"] for e in everything["effects"]}
     rivals = {r.split(" ")[0] for e in everything["effects"] for r in e["ambiguous_with"]}
@@ -237,6 +238,7 @@ def surprises(numbers: dict, everything: dict) -> list[str]:
         e["name"]
         for e in numbers["effects"]
         if numbers["verdict"] == "effect_found"
+        and not numbers["cautions"]
         and e["name"] not in known | rivals
         and not known & {r.split(" ")[0] for r in e["ambiguous_with"]}
     ]

@@ -56,6 +56,8 @@ VISIBLE_GAIN = 25.0
 LEAST_PROMISE = 8.0
 """Promised gain below which no refit could bring a candidate past the threshold of chance."""
 RIVAL_MARGIN = 10.0
+EQUAL = 1.0
+"""Gains that differ by less are the same."""
 CONVERGED = 0.05
 """Share of a candidate's gain that refitting without it may find."""
 VALIDATION_SHARE = 0.75
@@ -498,12 +500,15 @@ def _simplest_first(
 ) -> list[tuple[Candidate, Fit, Evidence]]:
     """Sort by gain; a candidate with fewer parameters wins where the others gain nothing on it.
 
-    The gain of each additional parameter has to exceed what chance gives one in a thousand.
+    Of those that are the same to these data, a radius and the scale of its encoder in an odometry,
+    the catalogue's first wins and rounding decides nothing. The gain of each additional parameter
+    has to exceed what chance gives one in a thousand.
     """
     if not results:
         return []
     results = sorted(results, key=lambda r: -r[2].gain)
-    best = results[0]
+    equals = [r for r in results if results[0][2].gain - r[2].gain < EQUAL]
+    best = min(equals, key=lambda r: (len(r[0].parameters), r[0].places))
     for rival in results[1:]:
         spared = len(best[0].parameters) - len(rival[0].parameters)
         lost = best[2].gain - rival[2].gain
