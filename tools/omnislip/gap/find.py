@@ -158,12 +158,6 @@ def find_gap(
         return _insufficient(machine, logs, _too_cut(known), inputs)
     noise, values = first_model(machine, [*known.fitting, *known.validation])
     impacts = find_impacts(machine, runs, values, noise)
-    if len(impacts) > len(logs):
-        progress(f"{len(impacts)} pushes may be the work of an effect: searching beside them")
-        beside = search(machine, known.fitting, known.validation, noise, progress)
-        values = beside.final.hypothesis.flat(machine.believed)
-        left = find_impacts(machine, runs, values, beside.data.noise)
-        impacts = left if len(left) < len(impacts) / 2 else impacts
     for _ in range(2):  # again where a push shows only beside the final model
         pushes = cuts + [(impact.run, impact.time_s) for impact in impacts]
         split = split_runs(machine, logs, pushes)
