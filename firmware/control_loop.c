@@ -55,14 +55,14 @@ static void supervise(control_loop *loop, const measurement *now);
 static void rest(control_loop *loop);
 static void drive_duty(control_loop *loop);
 static kinematics_force advance_target(control_loop *loop, odometry_heading heading);
-static kinematics_velocity demand_velocity(control_loop *loop, odometry_heading heading);
-static void drive_wheels(control_loop *loop, const kinematics_velocity *body,
+static traction_change demand_velocity(control_loop *loop, odometry_heading heading);
+static void drive_wheels(control_loop *loop, const traction_change *body,
                          const kinematics_force *inertia, i16 supply_v_q9);
 
 void control_loop_tick(control_loop *loop) {
     measurement now;
     odometry_heading heading;
-    kinematics_velocity body;
+    traction_change body;
     kinematics_force inertia;
 
     measure(loop, &now);
@@ -208,6 +208,7 @@ static void follow_motion(control_loop *loop) {
     for (i = 0; i < WHEEL_COUNT; i++) {
         wheel_pid_reset(&loop->pid[i], telemetry->shaft_rad_s_q5[i]);
         loop->wheel_target_rad_s_q5[i] = telemetry->shaft_rad_s_q5[i];
+        loop->wheel_target_rest_q13[i] = 0;
     }
 }
 
@@ -288,10 +289,20 @@ static void wanted_velocity(const control_loop *loop, traction_change *wanted) {
     wanted->axis_q22[2] += correction_q22(turn_q13, heading_gain_q20);
 }
 
+static traction_change world_to_body(odometry_heading heading, const traction_change *world) {
+    const i32 x_q22 = world->axis_q22[0];
+    const i32 y_q22 = world->axis_q22[1];
+    traction_change body = *world;
+    body.axis_q22[0] = fixed_add_i32(fixed_multiply_i32_q15(x_q22, heading.cosine_q15),
+                                     fixed_multiply_i32_q15(y_q22, heading.sine_q15));
+    body.axis_q22[1] = fixed_subtract_i32(fixed_multiply_i32_q15(y_q22, heading.cosine_q15),
+                                          fixed_multiply_i32_q15(x_q22, heading.sine_q15));
+    return body;
+}
+
 /* Velocity of the target corrected by the pose error, in the body frame. */
-static kinematics_velocity demand_velocity(control_loop *loop, odometry_heading heading) {
+static traction_change demand_velocity(control_loop *loop, odometry_heading heading) {
     traction_change change;
-    kinematics_velocity body;
     u16 axis;
     wanted_velocity(loop, &change);
     for (axis = 0; axis < 3; axis++)
@@ -301,29 +312,48 @@ static kinematics_velocity demand_velocity(control_loop *loop, odometry_heading 
     for (axis = 0; axis < 3; axis++)
         loop->demand.axis_q22[axis] =
             fixed_add_i32(loop->demand.axis_q22[axis], change.axis_q22[axis]);
-    body.x_m_s_q13 = fixed_saturate_i16(fixed_shift_right(loop->demand.axis_q22[0], 9));
-    body.y_m_s_q13 = fixed_saturate_i16(fixed_shift_right(loop->demand.axis_q22[1], 9));
-    body.omega_rad_s_q11 = fixed_saturate_i16(fixed_shift_right(loop->demand.axis_q22[2], 11));
-    odometry_world_to_body(heading, &body.x_m_s_q13, &body.y_m_s_q13);
-    return body;
+    return world_to_body(heading, &loop->demand);
 }
 
-/* Shaft speed at which the wheel moves its hub at this speed and exerts this force. */
-static i16 shaft_target_rad_s_q5(const parameters *p, i16 hub_m_s_q13, i16 force_n_q8) {
-    i16 rim_m_s_q13 = hub_m_s_q13;
+static kinematics_velocity rounded_velocity(const traction_change *body) {
+    kinematics_velocity velocity;
+    velocity.x_m_s_q13 = fixed_saturate_i16(fixed_shift_right(body->axis_q22[0], 9));
+    velocity.y_m_s_q13 = fixed_saturate_i16(fixed_shift_right(body->axis_q22[1], 9));
+    velocity.omega_rad_s_q11 = fixed_saturate_i16(fixed_shift_right(body->axis_q22[2], 11));
+    return velocity;
+}
+
+/* Row `wheel` of J, times the velocity. */
+static i32 hub_m_s_q22(const parameters *p, u16 wheel, const traction_change *body) {
+    const i32 x_q22 =
+        fixed_multiply_i32_q15(body->axis_q22[0], PARAMETER_WHEELS(p, drive_x_1_q15)[wheel]);
+    const i32 y_q22 =
+        fixed_multiply_i32_q15(body->axis_q22[1], PARAMETER_WHEELS(p, drive_y_1_q15)[wheel]);
+    const i32 turning_q22 =
+        fixed_multiply_i32_q15(body->axis_q22[2], PARAMETER_GET(p, wheel_distance_q15));
+    return fixed_add_i32(fixed_add_i32(x_q22, y_q22), turning_q22);
+}
+
+/* Shaft speed at which the wheel moves its hub at this speed and exerts this force. What rounding
+ * cuts off is carried to the next tick: a correction below one unit is not lost. */
+static i16 shaft_target_rad_s_q5(control_loop *loop, u16 wheel, i32 hub_m_s_q22, i16 force_n_q8) {
+    const parameters *p = loop->settings;
+    i32 rim_m_s_q22 = hub_m_s_q22;
+    i32 shaft_q13;
     if (PARAMETER_GET(p, slip_compensation)) {
-        rim_m_s_q13 =
-            fixed_add_i16(rim_m_s_q13, contact_slip_from_force(p, force_n_q8).slip_m_s_q13);
+        const i32 slip_m_s_q13 = contact_slip_from_force(p, force_n_q8).slip_m_s_q13;
+        rim_m_s_q22 = fixed_add_i32(rim_m_s_q22, slip_m_s_q13 * 512);
     }
-    /* Q13 * Q6 = Q19 -> Q5 */
+    /* Q22 * Q6 / 2^15 = Q13 -> Q5 */
+    shaft_q13 = fixed_multiply_i32_q15(rim_m_s_q22, PARAMETER_GET(p, shaft_per_rim_q6));
     return fixed_saturate_i16(
-        fixed_shift_right((i32)rim_m_s_q13 * PARAMETER_GET(p, shaft_per_rim_q6), 14));
+        fixed_shift_right_carrying(shaft_q13, 8, &loop->wheel_target_rest_q13[wheel]));
 }
 
-static i16 wheel_voltage_v_q9(control_loop *loop, u16 wheel, i16 hub_m_s_q13, i16 force_n_q8,
+static i16 wheel_voltage_v_q9(control_loop *loop, u16 wheel, i32 hub_m_s_q22, i16 force_n_q8,
                               i16 limit_v_q9) {
     const parameters *p = loop->settings;
-    const i16 target_q5 = shaft_target_rad_s_q5(p, hub_m_s_q13, force_n_q8);
+    const i16 target_q5 = shaft_target_rad_s_q5(loop, wheel, hub_m_s_q22, force_n_q8);
     const i16 change_q5 = fixed_subtract_i16(target_q5, loop->wheel_target_rad_s_q5[wheel]);
     wheel_pid_input input;
     u16 limited = 0;
@@ -339,24 +369,23 @@ static i16 wheel_voltage_v_q9(control_loop *loop, u16 wheel, i16 hub_m_s_q13, i1
     return voltage_q9;
 }
 
-static void drive_wheels(control_loop *loop, const kinematics_velocity *body,
+static void drive_wheels(control_loop *loop, const traction_change *body,
                          const kinematics_force *inertia, i16 supply_v_q9) {
     const parameters *p = loop->settings;
-    const kinematics_force roller = contact_roller_force(p, body);
+    const kinematics_velocity velocity = rounded_velocity(body);
+    const kinematics_force roller = contact_roller_force(p, &velocity);
     const i16 limit_v_q9 = fixed_multiply_q15(supply_v_q9, PARAMETER_GET(p, duty_limit_q15));
     /* 2^26 / Q9; below 2^15 because supply_minimum is above 4 V */
     const i16 inverse_supply_q17 = fixed_saturate_i16(fixed_divide(67108864L, (u16)supply_v_q9, 0));
     kinematics_force force = *inertia;
-    i16 hub_m_s_q13[WHEEL_COUNT];
     i16 force_n_q8[WHEEL_COUNT];
     u16 i;
     force.x_n_q6 = fixed_subtract_i16(force.x_n_q6, roller.x_n_q6);
     force.y_n_q6 = fixed_subtract_i16(force.y_n_q6, roller.y_n_q6);
-    kinematics_inverse(p, body, hub_m_s_q13);
     traction_wheel_forces(p, &force, force_n_q8);
     for (i = 0; i < WHEEL_COUNT; i++) {
         const i16 voltage_q9 =
-            wheel_voltage_v_q9(loop, i, hub_m_s_q13[i], force_n_q8[i], limit_v_q9);
+            wheel_voltage_v_q9(loop, i, hub_m_s_q22(p, i, body), force_n_q8[i], limit_v_q9);
         /* Q9 * Q17 = Q26 -> Q15 */
         loop->telemetry.duty_q15[i] =
             fixed_clamp_i16(fixed_shift_right((i32)voltage_q9 * inverse_supply_q17, 11),

@@ -78,6 +78,7 @@ typedef struct {
     wheel_speed speed[WHEEL_COUNT];
     wheel_pid pid[WHEEL_COUNT];
     i16 wheel_target_rad_s_q5[WHEEL_COUNT];
+    u16 wheel_target_rest_q13[WHEEL_COUNT]; /* beyond the target: rounding errors must not add up */
     slip_observer observer;
     outside_pose outside;
     trajectory target;

@@ -61,6 +61,12 @@ i32 fixed_shift_right(i32 value, u16 shift) {
     return (value + half) >> shift;
 }
 
+i32 fixed_shift_right_carrying(i32 value, u16 shift, u16 *rest) {
+    const i32 sum = fixed_add_i32(value, *rest);
+    *rest = (u16)((u32)sum & (((u32)1 << shift) - 1U));
+    return sum >> shift;
+}
+
 i32 fixed_shift_left(i32 value, u16 shift) {
     const i32 limit = (i32)I32_MAX >> shift;
     if (value > limit)

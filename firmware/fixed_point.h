@@ -29,6 +29,9 @@ i32 fixed_subtract_i32(i32 a, i32 b);
 
 /* value / 2^shift, rounded to nearest, halves upward; 1 <= shift <= 31. */
 i32 fixed_shift_right(i32 value, u16 shift);
+/* The same of a sequence of values, without losing anything in the mean: what rounding down cuts off,
+ * *rest below 2^shift, is added to the next value. 1 <= shift <= 15. */
+i32 fixed_shift_right_carrying(i32 value, u16 shift, u16 *rest);
 /* value * 2^shift, saturated; 0 <= shift <= 30. */
 i32 fixed_shift_left(i32 value, u16 shift);
 
