@@ -61,6 +61,12 @@ i32 fixed_shift_right(i32 value, u16 shift) {
     return (value + half) >> shift;
 }
 
+i32 fixed_shift_right_odd(i32 value, u16 shift) {
+    if (value < 0)
+        return (value + (((i32)1 << (shift - 1)) - 1)) >> shift;
+    return fixed_shift_right(value, shift);
+}
+
 i32 fixed_shift_right_carrying(i32 value, u16 shift, u16 *rest) {
     const i32 sum = fixed_add_i32(value, *rest);
     *rest = (u16)((u32)sum & (((u32)1 << shift) - 1U));
@@ -77,7 +83,7 @@ i32 fixed_shift_left(i32 value, u16 shift) {
 }
 
 i16 fixed_multiply_q15(i16 a, i16 b_q15) {
-    return fixed_saturate_i16(fixed_shift_right((i32)a * b_q15, 15)); /* Qn * Q15 -> Qn */
+    return fixed_saturate_i16(fixed_shift_right_odd((i32)a * b_q15, 15)); /* Qn * Q15 -> Qn */
 }
 
 i32 fixed_multiply_i32_q15(i32 a, i16 b_q15) {
@@ -125,7 +131,7 @@ i16 fixed_cosine_q15(u16 angle) {
 }
 
 i16 fixed_tangent_quarter_q10(i16 x_q15, i16 *cosine_q15) {
-    const u16 angle = (u16)fixed_shift_right(x_q15, 1); /* a quarter turn is 2^14 */
+    const u16 angle = (u16)(x_q15 / 2); /* a quarter turn is 2^14 */
     *cosine_q15 = fixed_cosine_q15(angle);
     if (*cosine_q15 <= 0)
         return (i16)(x_q15 < 0 ? -I16_MAX : I16_MAX);

@@ -29,13 +29,16 @@ i32 fixed_subtract_i32(i32 a, i32 b);
 
 /* value / 2^shift, rounded to nearest, halves upward; 1 <= shift <= 31. */
 i32 fixed_shift_right(i32 value, u16 shift);
+/* The same, halves away from zero: wheels that turn alike, but in opposite senses, round alike.
+ * Halves upward are a bias of one sense of rotation wherever halves are frequent. */
+i32 fixed_shift_right_odd(i32 value, u16 shift);
 /* The same of a sequence of values, without losing anything in the mean: what rounding down cuts off,
  * *rest below 2^shift, is added to the next value. 1 <= shift <= 15. */
 i32 fixed_shift_right_carrying(i32 value, u16 shift, u16 *rest);
 /* value * 2^shift, saturated; 0 <= shift <= 30. */
 i32 fixed_shift_left(i32 value, u16 shift);
 
-/* a * b / 2^15, rounded and saturated: Q15 * Qn -> Qn. */
+/* a * b / 2^15, rounded (halves away from zero) and saturated: Q15 * Qn -> Qn. */
 i16 fixed_multiply_q15(i16 a, i16 b_q15);
 /* The same for a 32-bit a, from two 16 by 16 products; truncates at most 1 unit of the result. */
 i32 fixed_multiply_i32_q15(i32 a, i16 b_q15);

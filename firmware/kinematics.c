@@ -15,7 +15,7 @@ void kinematics_inverse(const parameters *p, const kinematics_velocity *velocity
         const i32 moving_q28 = fixed_add_i32((i32)drive_x_q15[i] * velocity->x_m_s_q13,
                                              (i32)drive_y_q15[i] * velocity->y_m_s_q13);
         const i32 rim_q26 = fixed_shift_right(moving_q28, 2) + turning_q26;
-        rim_m_s_q13[i] = fixed_saturate_i16(fixed_shift_right(rim_q26, 13));
+        rim_m_s_q13[i] = fixed_saturate_i16(fixed_shift_right_odd(rim_q26, 13));
     }
 }
 

@@ -26,5 +26,5 @@ i16 wheel_speed_step_rad_s_q5(wheel_speed *state, const parameters *p, u16 count
     state->oldest = (u16)((state->oldest + 1U) % WHEEL_SPEED_WINDOW);
     /* Q0 * Q10 / 4 -> Q5: 10 - 5 + 2 = 7 */
     return fixed_saturate_i16(
-        fixed_shift_right((i32)counts * PARAMETER_GET(p, shaft_speed_per_count_q10), 7));
+        fixed_shift_right_odd((i32)counts * PARAMETER_GET(p, shaft_speed_per_count_q10), 7));
 }
