@@ -14,7 +14,7 @@ void kinematics_inverse(const parameters *p, const kinematics_velocity *velocity
         /* Q15 * Q13 = Q28; below 2^31 because the drive direction is a unit vector. */
         const i32 moving_q28 = fixed_add_i32((i32)drive_x_q15[i] * velocity->x_m_s_q13,
                                              (i32)drive_y_q15[i] * velocity->y_m_s_q13);
-        const i32 rim_q26 = fixed_shift_right(moving_q28, 2) + turning_q26;
+        const i32 rim_q26 = moving_q28 / 4 + turning_q26; /* odd, as the rounding below */
         rim_m_s_q13[i] = fixed_saturate_i16(fixed_shift_right_odd(rim_q26, 13));
     }
 }

@@ -37,6 +37,28 @@ static void shifts_round_and_saturate(void) {
     TEST_ASSERT_EQUAL_INT32(-(1L << 20) * 1024, fixed_shift_left(-(1L << 20), 10));
 }
 
+static void odd_shifts_round_halves_away_from_zero(void) {
+    TEST_ASSERT_EQUAL_INT32(-2, fixed_shift_right_odd(-3, 1));
+    TEST_ASSERT_EQUAL_INT32(-(1L << 30), fixed_shift_right_odd((i32)I32_MIN, 1));
+    for (i32 value = 0; value < 64; value++) {
+        TEST_ASSERT_EQUAL_INT32(fixed_shift_right(value, 3), fixed_shift_right_odd(value, 3));
+        TEST_ASSERT_EQUAL_INT32(-fixed_shift_right(value, 3), fixed_shift_right_odd(-value, 3));
+    }
+}
+
+/* However many values: what the results lack of their sum is the rest. */
+static void carrying_shifts_lose_nothing(void) {
+    i32 sum = 0, results = 0;
+    u16 rest = 0;
+    for (int n = 0; n < 1000; n++) {
+        const i32 value = reference_random_i16(&seed, 3000);
+        sum += value;
+        results += fixed_shift_right_carrying(value, 11, &rest);
+        TEST_ASSERT_EQUAL_INT32(sum, results * 2048 + rest);
+        TEST_ASSERT_TRUE(rest < 2048);
+    }
+}
+
 static void products_saturate_at_minus_one_squared(void) {
     TEST_ASSERT_EQUAL_INT(I16_MAX, fixed_multiply_q15(I16_MIN, I16_MIN));
     TEST_ASSERT_EQUAL_INT32(I32_MAX, fixed_multiply_i32_q15((i32)I32_MIN, I16_MIN));
@@ -148,6 +170,22 @@ static void rows_of_the_kinematic_matrix_are_those_of_the_paper(void) {
     TEST_ASSERT_INT16_WITHIN(1, 1638, rim[2]);
 }
 
+/* To the last bit: rounding does not prefer a sense of rotation. */
+static void opposite_motions_turn_the_wheels_oppositely(void) {
+    for (int n = 0; n < REFERENCE_CASES(20000); n++) {
+        const kinematics_velocity there = {reference_random_i16(&seed, 12000),
+                                           reference_random_i16(&seed, 12000),
+                                           reference_random_i16(&seed, 2)};
+        const kinematics_velocity back = {(i16)-there.x_m_s_q13, (i16)-there.y_m_s_q13,
+                                          (i16)-there.omega_rad_s_q11};
+        i16 rim_there[4], rim_back[4];
+        kinematics_inverse(&p, &there, rim_there);
+        kinematics_inverse(&p, &back, rim_back);
+        for (int i = 0; i < 4; i++)
+            TEST_ASSERT_EQUAL_INT(-rim_there[i], rim_back[i]);
+    }
+}
+
 /* One wheel that spins shows in full, four wheels that roll do not. */
 static void null_slip_sees_a_single_spinning_wheel(void) {
     const i16 spinning[4] = {0, 0, 1000, 0};
@@ -174,6 +212,8 @@ int main(void) {
     UNITY_BEGIN();
     RUN_TEST(sums_saturate_at_both_ends);
     RUN_TEST(shifts_round_and_saturate);
+    RUN_TEST(odd_shifts_round_halves_away_from_zero);
+    RUN_TEST(carrying_shifts_lose_nothing);
     RUN_TEST(products_saturate_at_minus_one_squared);
     RUN_TEST(division_by_zero_saturates_with_the_sign);
     RUN_TEST(sine_has_exact_quarters_and_symmetry);
@@ -185,6 +225,7 @@ int main(void) {
     RUN_TEST(names_state_their_q_format);
     RUN_TEST(forward_undoes_inverse);
     RUN_TEST(rows_of_the_kinematic_matrix_are_those_of_the_paper);
+    RUN_TEST(opposite_motions_turn_the_wheels_oppositely);
     RUN_TEST(null_slip_sees_a_single_spinning_wheel);
     RUN_TEST(wheel_forces_add_up_to_the_body_force);
     return UNITY_END();

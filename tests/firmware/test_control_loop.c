@@ -61,6 +61,19 @@ static void turning_robot_moves_along_its_own_axes(void) {
     TEST_ASSERT_DOUBLE_WITHIN(8.0, true_y_mm(), believed_y_mm());
 }
 
+/* 0.045 mrad times the heading gain of 5 1/s is less than half a unit of omega Q11 and of the shaft
+ * speed: were it rounded away, the believed heading would stay there. */
+static void corrections_below_a_unit_are_not_lost(void) {
+    double sum_mrad = 0.0;
+    start(0);
+    drive(1500, 0, 0, 1500);
+    for (int n = 0; n < 500; n++) {
+        drive(1500, 0, 0, 1);
+        sum_mrad += loop.telemetry.pose.theta_mrad_q13 / 8192.0;
+    }
+    TEST_ASSERT_DOUBLE_WITHIN(0.01, 0.0, sum_mrad / 500.0);
+}
+
 static void no_limit_cycle_at_standstill(void) {
     reference_plant before;
     drive(800, -400, 2000, 1000);
@@ -162,6 +175,7 @@ int main(void) {
     RUN_TEST(step_of_speed_with_slip_compensation);
     RUN_TEST(feed_forward_alone_follows_the_ramp);
     RUN_TEST(turning_robot_moves_along_its_own_axes);
+    RUN_TEST(corrections_below_a_unit_are_not_lost);
     RUN_TEST(no_limit_cycle_at_standstill);
     RUN_TEST(no_limit_cycle_with_dry_friction);
     RUN_TEST(robot_that_never_moved_has_no_duty);

@@ -71,6 +71,14 @@ static void sum_of_speeds_is_the_angle(void) {
     TEST_ASSERT_INT32_WITHIN(71, (int32_t)lround(turned * REFERENCE_PI * 32.0), sum_q5);
 }
 
+/* To the last bit: rounding does not prefer a sense of rotation. */
+static void opposite_counts_are_opposite_speeds(void) {
+    for (u16 counts = 0; counts < 1300; counts++) {
+        TEST_ASSERT_EQUAL_INT16(-speed_after(0, (i16)counts, 1),
+                                speed_after(0, (i16)-(i16)counts, 1));
+    }
+}
+
 /* ---- motor ---- */
 
 static void stalled_motor_pushes_with_a_u(void) {
@@ -234,6 +242,7 @@ int main(void) {
     RUN_TEST(counts_of_a_tick_are_those_since_the_last);
     RUN_TEST(no_speed_follows_from_the_first_counter_value);
     RUN_TEST(sum_of_speeds_is_the_angle);
+    RUN_TEST(opposite_counts_are_opposite_speeds);
     RUN_TEST(stalled_motor_pushes_with_a_u);
     RUN_TEST(no_load_speed_is_that_of_the_model);
     RUN_TEST(voltage_and_force_undo_each_other);
