@@ -28,7 +28,7 @@
 
 /* Time that the impossible must last, ms: the force follows a hard reversal of the duty within 20
  * ms, and a runaway wheel passes 1 m/s in 100. */
-#define WHEEL_MONITOR_STANDING_MS 100
+#define WHEEL_MONITOR_STANDING_MS 50
 #define WHEEL_MONITOR_REVERSED_MS 50
 
 #ifdef __cplusplus
