@@ -53,6 +53,30 @@ def test_status_and_events():
     assert str(talk.events[-1]).endswith("state ARMED, fault NONE, fault_wheel 0")
 
 
+def limits_told(acceleration_m_s2, velocity):
+    """What a robot tells of its limits in the first four seconds of a velocity."""
+    talk = session()
+    for name, value in (("acceleration_limit", acceleration_m_s2), ("speed_limit", 3.9)):
+        parameter = protocol.find_parameter(name)
+        talk.request("parameter_set", id=parameter.id, value=parameter.raw(value))
+    talk.request("arm")
+    for _ in range(40):
+        talk.request("velocity", **velocity)
+        talk.listen(0.1)
+    return [str(event).split(" s: ")[1] for event in talk.events if event.name == "limit"]
+
+
+def test_each_limit_is_told_by_its_name():
+    """A demand that wheel 3 has to carry beyond the grip; a speed beyond what 24 V turn."""
+    turning = {"x_mm_s": 1000, "y_mm_s": -300, "omega_mrad_s": 1000}
+    assert limits_told(30.0, turning)[0] == "limited by: traction, wheel 3"
+    straight = {"x_mm_s": 1000, "y_mm_s": 0, "omega_mrad_s": 0}
+    assert limits_told(30.0, straight)[-1] == "not limited"
+    fast = {"x_mm_s": 3000, "y_mm_s": -2500, "omega_mrad_s": 0}
+    told = limits_told(2.0, fast)
+    assert "limited by: voltage, wheel 3" in told
+
+
 def test_a_request_is_repeated_until_it_is_answered():
     talk = session(Wrapped(out=EveryOther()))
     parameter = protocol.find_parameter("position_gain")

@@ -25,6 +25,7 @@ SIGNALS = (
     "fault_wheel",
     "mode",
     "limit",
+    "limit_wheel",
     "supply_mv",
     "pose_x_mm_q13",
     "pose_y_mm_q13",

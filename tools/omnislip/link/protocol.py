@@ -261,8 +261,15 @@ class Happening:
 
     def __str__(self) -> str:
         told = {name: value for name, value in self.values.items() if name != "time_ms"}
-        shown = [f"{name} {name_of(name, value) or value}" for name, value in told.items()]
-        return f"{self.values['time_ms'] / 1000:.3f} s: {', '.join(shown)}"
+        shown = ", ".join(f"{name} {name_of(name, value) or value}" for name, value in told.items())
+        if self.name == "limit":
+            shown = _limit_line(told["limit"], told["limit_wheel"])
+        return f"{self.values['time_ms'] / 1000:.3f} s: {shown}"
+
+
+def _limit_line(limit: int, wheel: int) -> str:
+    by = LIMITS[limit].lower()
+    return "not limited" if by == "none" else f"limited by: {by}, wheel {wheel}"
 
 
 @dataclass(frozen=True)
