@@ -114,17 +114,15 @@ static int end_fits(const curve *c, const i16 a[3], const i16 b[3], const trajec
 static int speed_fits(const curve *c, const parameters *p) {
     const u16 limit = (u16)PARAMETER_GET(p, speed_limit_q13);
     const u16 turning_limit = (u16)PARAMETER_GET(p, omega_limit_q11);
-    i32 first[3], middle[3], last[3]; /* corners of the polygon */
+    i32 first[3], last[3]; /* corners of the polygon; between them lies their mean */
     u16 axis;
     for (axis = 0; axis < 3; axis++) {
         const i32 three_means = 3 * (i32)c->mean[axis];
         first[axis] = (three_means - c->v1[axis]) / 2;
-        middle[axis] = (2 * three_means - c->v0[axis] - c->v1[axis]) / 4;
         last[axis] = (three_means - c->v0[axis]) / 2;
     }
-    return length(first[0], first[1]) <= limit && length(middle[0], middle[1]) <= limit &&
-           length(last[0], last[1]) <= limit && size_of(first[2]) <= turning_limit &&
-           size_of(middle[2]) <= turning_limit && size_of(last[2]) <= turning_limit;
+    return length(first[0], first[1]) <= limit && length(last[0], last[1]) <= limit &&
+           size_of(first[2]) <= turning_limit && size_of(last[2]) <= turning_limit;
 }
 
 static int plan_fits(const trajectory *t, const parameters *p, u16 ticks) {
