@@ -32,8 +32,8 @@ i32 fixed_shift_right(i32 value, u16 shift);
 /* The same, halves away from zero: wheels that turn alike, but in opposite senses, round alike.
  * Halves upward are a bias of one sense of rotation wherever halves are frequent. */
 i32 fixed_shift_right_odd(i32 value, u16 shift);
-/* The same of a sequence of values, without losing anything in the mean: what rounding down cuts off,
- * *rest below 2^shift, is added to the next value. 1 <= shift <= 15. */
+/* The same of a sequence of values, without losing anything in the mean: what rounding down cuts
+ * off, *rest below 2^shift, is added to the next value. 1 <= shift <= 15. */
 i32 fixed_shift_right_carrying(i32 value, u16 shift, u16 *rest);
 /* value * 2^shift, saturated; 0 <= shift <= 30. */
 i32 fixed_shift_left(i32 value, u16 shift);

@@ -73,10 +73,8 @@ static void sum_of_speeds_is_the_angle(void) {
 
 /* To the last bit: rounding does not prefer a sense of rotation. */
 static void opposite_counts_are_opposite_speeds(void) {
-    for (u16 counts = 0; counts < 1300; counts++) {
-        TEST_ASSERT_EQUAL_INT16(-speed_after(0, (i16)counts, 1),
-                                speed_after(0, (i16)-(i16)counts, 1));
-    }
+    for (i16 counts = 0; counts < 1300; counts++)
+        TEST_ASSERT_EQUAL_INT16(-speed_after(0, counts, 1), speed_after(0, (i16)-counts, 1));
 }
 
 /* ---- motor ---- */
