@@ -13,13 +13,13 @@
  *    traction limit  F = (J+)' M a, N Q8       |
  *          |                                odometry
  *   - - - -|- - - - - - - - - - - - - - - - - -|- - - - - - - - - - - -  body frame
- *          v   m/s Q13, rad/s Q11              |   m/s Q13, rad/s Q11
+ *          v   m/s Q22, rad/s Q22              |   m/s Q13, rad/s Q11
  *    kinematics J                           slip observer, or J+
  *          |                                   ^
- *          v   hub m/s Q13                     |
+ *          v   hub m/s Q22                     |
  *        + slip(F)                             |   rim m/s Q13, force N Q8
  *          |                                   |
- *        * n / R                             * R / n
+ *        * n / R, rest carried               * R / n
  *          |                                   ^
  *          v   shaft rad/s Q5                  |   shaft rad/s Q5
  *       4 x PID  <-----------------------------+
@@ -324,7 +324,7 @@ static kinematics_velocity rounded_velocity(const traction_change *body) {
 }
 
 /* Row `wheel` of J, times the velocity. */
-static i32 hub_m_s_q22(const parameters *p, u16 wheel, const traction_change *body) {
+static i32 hub_speed_m_s_q22(const parameters *p, u16 wheel, const traction_change *body) {
     const i32 x_q22 =
         fixed_multiply_i32_q15(body->axis_q22[0], PARAMETER_WHEELS(p, drive_x_1_q15)[wheel]);
     const i32 y_q22 =
@@ -385,7 +385,7 @@ static void drive_wheels(control_loop *loop, const traction_change *body,
     traction_wheel_forces(p, &force, force_n_q8);
     for (i = 0; i < WHEEL_COUNT; i++) {
         const i16 voltage_q9 =
-            wheel_voltage_v_q9(loop, i, hub_m_s_q22(p, i, body), force_n_q8[i], limit_v_q9);
+            wheel_voltage_v_q9(loop, i, hub_speed_m_s_q22(p, i, body), force_n_q8[i], limit_v_q9);
         /* Q9 * Q17 = Q26 -> Q15 */
         loop->telemetry.duty_q15[i] =
             fixed_clamp_i16(fixed_shift_right((i32)voltage_q9 * inverse_supply_q17, 11),

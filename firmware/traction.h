@@ -24,7 +24,7 @@
 extern "C" {
 #endif
 
-/* Velocity or its change, world frame: m/s Q22, m/s Q22, rad/s Q22. */
+/* Velocity or its change, in the world frame unless said otherwise: m/s, m/s, rad/s, Q22. */
 typedef struct {
     i32 axis_q22[3];
 } traction_change;
