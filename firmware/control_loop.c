@@ -231,7 +231,7 @@ static void drive_duty(control_loop *loop) {
 
 /* ---- From the target to the duty ---- */
 
-/* Every clamp has a name that reaches the operator; the enumeration is in order of weight. */
+/* Every limit has a name that reaches the operator; the enumeration is in order of weight. */
 static void report_limit(control_loop *loop, control_limit limit, u16 wheel) {
     if (limit <= loop->telemetry.limit)
         return;
@@ -253,10 +253,10 @@ static kinematics_force advance_target(control_loop *loop, odometry_heading head
     if (loop->telemetry.mode == CONTROL_MODE_POSE) {
         trajectory_step_to_pose(&loop->target, loop->settings);
     } else {
-        const u16 wheel =
-            trajectory_step_velocity(&loop->target, loop->settings, &loop->command_velocity);
-        if (wheel != 0)
-            report_limit(loop, CONTROL_LIMIT_TRACTION, wheel);
+        u16 wheel;
+        const control_limit limit = trajectory_step_velocity(&loop->target, loop->settings,
+                                                             &loop->command_velocity, &wheel);
+        report_limit(loop, limit, wheel);
     }
     loop->telemetry.target.x_mm_q13 = loop->target.position_q13[0];
     loop->telemetry.target.y_mm_q13 = loop->target.position_q13[1];

@@ -42,13 +42,6 @@ typedef enum {
     CONTROL_MODE_DUTY
 } control_mode;
 
-/* What limits the robot in this tick; the largest that applies. */
-typedef enum {
-    CONTROL_LIMIT_NONE = 0,
-    CONTROL_LIMIT_TRACTION, /* acceleration cut to the grip */
-    CONTROL_LIMIT_VOLTAGE   /* a wheel wants more than supply times duty_limit */
-} control_limit;
-
 typedef struct {
     i16 duty_q15[WHEEL_COUNT];
     u16 encoder_counts[WHEEL_COUNT];
@@ -63,8 +56,8 @@ typedef struct {
     odometry_pose pose;            /* world frame */
     odometry_pose target;          /* world frame */
     control_mode mode;
-    control_limit limit;
-    u16 limit_wheel; /* 1..4: the wheel that demands it; 0: none */
+    control_limit limit; /* what limits the robot in this tick; the largest that applies */
+    u16 limit_wheel;     /* 1..4: the wheel that demands it; 0: none */
     supervisor_state state;
     supervisor_fault fault; /* in FAULT the present one, else why the robot last stopped */
     u16 fault_wheel;        /* 1..4; 0: none or all */

@@ -8,16 +8,20 @@
 /* 16 m/s, 16 rad/s: 24 of them are below 2^31. */
 #define FASTEST_Q22 ((i32)1 << 26)
 
-static void limit_speed(const parameters *p, kinematics_velocity *velocity) {
+/* 1 when it cuts the velocity. */
+static u16 limit_speed(const parameters *p, kinematics_velocity *velocity) {
+    const i16 omega_q11 =
+        fixed_clamp_i16(velocity->omega_rad_s_q11, PARAMETER_GET(p, omega_limit_q11));
     const i16 limit_q13 = PARAMETER_GET(p, speed_limit_q13);
     const u16 speed_q13 = fixed_hypot(velocity->x_m_s_q13, velocity->y_m_s_q13);
+    const u16 cut = speed_q13 > (u16)limit_q13 || velocity->omega_rad_s_q11 != omega_q11;
     if (speed_q13 > (u16)limit_q13) {
         const i16 scale_q15 = (i16)fixed_divide(limit_q13, speed_q13, 15); /* Q13 / Q13 * 2^15 */
         velocity->x_m_s_q13 = fixed_multiply_q15(velocity->x_m_s_q13, scale_q15);
         velocity->y_m_s_q13 = fixed_multiply_q15(velocity->y_m_s_q13, scale_q15);
     }
-    velocity->omega_rad_s_q11 =
-        fixed_clamp_i16(velocity->omega_rad_s_q11, PARAMETER_GET(p, omega_limit_q11));
+    velocity->omega_rad_s_q11 = omega_q11;
+    return cut;
 }
 
 static void set_velocity(traction_change *velocity, const kinematics_velocity *world) {
@@ -289,7 +293,7 @@ trajectory_status trajectory_plan(trajectory *t, const parameters *p, const odom
     trajectory planned = *t;
     kinematics_velocity limited = *arrival;
     i32 turn_mrad_q13 = goal->theta_mrad_q13 % ODOMETRY_FULL_TURN_MRAD_Q13;
-    limit_speed(p, &limited);
+    (void)limit_speed(p, &limited);
     planned.position_q13[2] =
         odometry_wrap_mrad_q13(t->position_q13[2] % ODOMETRY_FULL_TURN_MRAD_Q13);
     turn_mrad_q13 = odometry_wrap_mrad_q13(turn_mrad_q13 - planned.position_q13[2]);
@@ -384,7 +388,8 @@ static i32 along_q22(i16 component, u16 size, i32 limit_q22) {
     return fixed_multiply_i32_q15(limit_q22, fixed_saturate_i16(fixed_divide(component, size, 15)));
 }
 
-static void limit_acceleration(const parameters *p, traction_change *change) {
+/* 1 when it cuts the change. */
+static u16 limit_acceleration(const parameters *p, traction_change *change) {
     const i32 limit_q22 = change_limit_q22(PARAMETER_GET(p, acceleration_limit_q10));
     const i32 turning_limit_q22 =
         change_limit_q22(PARAMETER_GET(p, angular_acceleration_limit_q8)) *
@@ -393,34 +398,40 @@ static void limit_acceleration(const parameters *p, traction_change *change) {
     const i16 x_q12 = fixed_saturate_i16(fixed_shift_right(change->axis_q22[0], 10));
     const i16 y_q12 = fixed_saturate_i16(fixed_shift_right(change->axis_q22[1], 10));
     const u16 size_q12 = fixed_hypot(x_q12, y_q12);
+    const i32 turning_q22 = fixed_clamp_i32(change->axis_q22[2], turning_limit_q22);
+    const u16 cut = (i32)size_q12 * 1024 > limit_q22 || change->axis_q22[2] != turning_q22;
     if ((i32)size_q12 * 1024 > limit_q22) {
         change->axis_q22[0] = along_q22(x_q12, size_q12, limit_q22);
         change->axis_q22[1] = along_q22(y_q12, size_q12, limit_q22);
     }
-    if (change->axis_q22[2] > turning_limit_q22)
-        change->axis_q22[2] = turning_limit_q22;
-    if (change->axis_q22[2] < -turning_limit_q22)
-        change->axis_q22[2] = -turning_limit_q22;
+    change->axis_q22[2] = turning_q22;
+    return cut;
 }
 
-u16 trajectory_step_velocity(trajectory *t, const parameters *p, const kinematics_velocity *body) {
+control_limit trajectory_step_velocity(trajectory *t, const parameters *p,
+                                       const kinematics_velocity *body, u16 *wheel) {
     const odometry_heading heading = odometry_heading_of(odometry_binary_angle(t->position_q13[2]));
     kinematics_velocity world = *body;
     traction_change change;
-    u16 limited, axis;
-    limit_speed(p, &world);
+    control_limit limit = CONTROL_LIMIT_NONE;
+    u16 axis;
+    if (limit_speed(p, &world))
+        limit = CONTROL_LIMIT_SPEED;
     odometry_body_to_world(heading, &world.x_m_s_q13, &world.y_m_s_q13);
     set_velocity(&t->goal_velocity, &world);
     for (axis = 0; axis < 3; axis++) {
         change.axis_q22[axis] =
             fixed_subtract_i32(t->goal_velocity.axis_q22[axis], t->velocity.axis_q22[axis]);
     }
-    limit_acceleration(p, &change);
-    limited = traction_limit(p, heading, &change);
+    if (limit_acceleration(p, &change))
+        limit = CONTROL_LIMIT_ACCELERATION;
+    *wheel = traction_limit(p, heading, &change);
+    if (*wheel != 0)
+        limit = CONTROL_LIMIT_TRACTION;
     for (axis = 0; axis < 3; axis++)
         t->velocity.axis_q22[axis] =
             fixed_clamp_i32(t->velocity.axis_q22[axis] + change.axis_q22[axis], FASTEST_Q22);
     coast(t);
     t->ticks_left = 0;
-    return limited;
+    return limit;
 }

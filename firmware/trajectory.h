@@ -59,6 +59,16 @@ typedef struct {
     u16 trial_ticks; /* by which the plan is to be shortened next; 0: done */
 } trajectory;
 
+/* What can limit the robot, in order of weight. A plan to a pose keeps the limits of speed and
+ * acceleration by taking its time; it is not limited by them. */
+typedef enum {
+    CONTROL_LIMIT_NONE = 0,
+    CONTROL_LIMIT_SPEED,        /* velocity command cut to speed_limit or omega_limit */
+    CONTROL_LIMIT_ACCELERATION, /* change cut to (angular_)acceleration_limit */
+    CONTROL_LIMIT_TRACTION,     /* change cut to the grip */
+    CONTROL_LIMIT_VOLTAGE       /* a wheel wants more than supply times duty_limit */
+} control_limit;
+
 typedef enum { TRAJECTORY_OK = 0, TRAJECTORY_TOO_FAR, TRAJECTORY_REFUSED } trajectory_status;
 
 /* Target at this pose with this body velocity; nothing planned. */
@@ -70,9 +80,10 @@ trajectory_status trajectory_plan(trajectory *t, const parameters *p, const odom
                                   const kinematics_velocity *arrival);
 /* One tick towards the planned pose; after arrival, onwards with the velocity of arrival. */
 void trajectory_step_to_pose(trajectory *t, const parameters *p);
-/* One tick along a body velocity; returns the wheel (1..4) for which the traction limit cut the
- * acceleration, else 0. */
-u16 trajectory_step_velocity(trajectory *t, const parameters *p, const kinematics_velocity *body);
+/* One tick along a body velocity; returns the largest limit that applied, *wheel (1..4) for which
+ * the traction limit did, else 0. */
+control_limit trajectory_step_velocity(trajectory *t, const parameters *p,
+                                       const kinematics_velocity *body, u16 *wheel);
 
 #ifdef __cplusplus
 }

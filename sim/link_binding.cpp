@@ -88,7 +88,9 @@ nb::list faults() {
     return rows;
 }
 
-static_assert(CONTROL_LIMIT_TRACTION == 1 && CONTROL_LIMIT_VOLTAGE == 2, "names of limits");
+static_assert(CONTROL_LIMIT_SPEED == 1 && CONTROL_LIMIT_ACCELERATION == 2 &&
+                  CONTROL_LIMIT_TRACTION == 3 && CONTROL_LIMIT_VOLTAGE == 4,
+              "names of limits");
 static_assert(CONTROL_MODE_VELOCITY == 1 && CONTROL_MODE_POSE == 2 && CONTROL_MODE_DUTY == 3,
               "names of modes");
 static_assert(HAL_RESET_WATCHDOG == 1, "names of reset causes");
@@ -119,7 +121,7 @@ nb::dict link_tables() {
     tables["parameters"] = parameter_rows();
     tables["states"] = states();
     tables["faults"] = faults();
-    tables["limits"] = names({"NONE", "TRACTION", "VOLTAGE"});
+    tables["limits"] = names({"NONE", "SPEED", "ACCELERATION", "TRACTION", "VOLTAGE"});
     tables["modes"] = names({"IDLE", "VELOCITY", "POSE", "DUTY"});
     tables["reset_causes"] = names({"POWER_ON", "WATCHDOG"});
     return tables;

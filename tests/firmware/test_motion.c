@@ -537,18 +537,26 @@ static void a_goal_beyond_60_s_is_refused_and_the_plan_kept(void) {
     TEST_ASSERT_EQUAL_MEMORY(&before, &t, sizeof t);
 }
 
+static u16 limited_wheel;
+
+static control_limit step_velocity(trajectory *t, const kinematics_velocity *command) {
+    return trajectory_step_velocity(t, &p, command, &limited_wheel);
+}
+
 static void velocity_ramps_along_the_commanded_direction(void) {
     const kinematics_velocity command = {8192, -4096, 0};
     trajectory t;
     trajectory_start(&t, &origin, &still);
     for (int n = 0; n < 300; n++) {
-        TEST_ASSERT_EQUAL_UINT(0, trajectory_step_velocity(&t, &p, &command));
+        TEST_ASSERT_EQUAL(CONTROL_LIMIT_ACCELERATION, step_velocity(&t, &command));
+        TEST_ASSERT_EQUAL_UINT16(0, limited_wheel);
     }
     /* 1.4717 m/s2 for 0.3 s along (2, -1) / sqrt 5 */
     TEST_ASSERT_DOUBLE_WITHIN(0.002, 0.3949, t.velocity.axis_q22[0] / 4194304.0);
     TEST_ASSERT_DOUBLE_WITHIN(0.002, -0.1974, t.velocity.axis_q22[1] / 4194304.0);
     for (int n = 0; n < 600; n++)
-        trajectory_step_velocity(&t, &p, &command);
+        step_velocity(&t, &command);
+    TEST_ASSERT_EQUAL(CONTROL_LIMIT_NONE, step_velocity(&t, &command));
     /* The command passes a rotation by 0, whose cosine is one LSB short of 1. */
     TEST_ASSERT_INT32_WITHIN(512, 8192L * 512, t.velocity.axis_q22[0]);
     TEST_ASSERT_INT32_WITHIN(512, -4096L * 512, t.velocity.axis_q22[1]);
@@ -563,7 +571,7 @@ static void a_velocity_ends_the_plan(void) {
     trajectory_plan(&t, &p, &goal, &still);
     for (int n = 0; n < 200; n++)
         trajectory_step_to_pose(&t, &p);
-    trajectory_step_velocity(&t, &p, &command);
+    step_velocity(&t, &command);
     before = t.velocity;
     trajectory_step_to_pose(&t, &p); /* nothing is planned: onwards */
     TEST_ASSERT_EQUAL_MEMORY(&before, &t.velocity, sizeof before);
@@ -574,9 +582,25 @@ static void velocity_commands_are_limited_along_their_direction(void) {
     trajectory t;
     trajectory_start(&t, &origin, &still);
     for (int n = 0; n < 4000; n++)
-        trajectory_step_velocity(&t, &p, &command);
+        step_velocity(&t, &command);
+    TEST_ASSERT_EQUAL(CONTROL_LIMIT_SPEED, step_velocity(&t, &command));
     TEST_ASSERT_DOUBLE_WITHIN(0.002, 2.3529 / sqrt(2.0), t.velocity.axis_q22[0] / 4194304.0);
     TEST_ASSERT_DOUBLE_WITHIN(0.002, -2.3529 / sqrt(2.0), t.velocity.axis_q22[1] / 4194304.0);
+}
+
+/* Either sense; a change of the rotation alone is cut by its own limit. */
+static void limits_of_rotation_have_names_too(void) {
+    for (i16 sense = -1; sense <= 1; sense = (i16)(sense + 2)) {
+        const kinematics_velocity fast = {0, 0, (i16)(sense * 30000)};
+        trajectory t;
+        parameters_set(&p, PARAMETER_ID_angular_acceleration_limit_q8, 2560);
+        trajectory_start(&t, &origin, &still);
+        TEST_ASSERT_EQUAL(CONTROL_LIMIT_ACCELERATION, step_velocity(&t, &fast));
+        for (int n = 0; n < 2000; n++)
+            step_velocity(&t, &fast);
+        TEST_ASSERT_EQUAL(CONTROL_LIMIT_SPEED, step_velocity(&t, &fast));
+        TEST_ASSERT_INT32_WITHIN(2048, sense * 20480L * 2048, t.velocity.axis_q22[2]);
+    }
 }
 
 static void a_ramp_beyond_the_grip_is_cut_and_says_so(void) {
@@ -585,7 +609,8 @@ static void a_ramp_beyond_the_grip_is_cut_and_says_so(void) {
     parameters_set(&p, PARAMETER_ID_acceleration_limit_q10, 8000);
     trajectory_start(&t, &origin, &still);
     for (int n = 0; n < 100; n++) {
-        TEST_ASSERT_EQUAL_UINT(1, trajectory_step_velocity(&t, &p, &command));
+        TEST_ASSERT_EQUAL(CONTROL_LIMIT_TRACTION, step_velocity(&t, &command));
+        TEST_ASSERT_EQUAL_UINT16(1, limited_wheel);
     }
     /* 20.6 N per wheel push 20 kg with 2.06 m/s2 */
     TEST_ASSERT_DOUBLE_WITHIN(0.003, 0.206, t.velocity.axis_q22[0] / 4194304.0);
@@ -626,6 +651,7 @@ int main(void) {
     RUN_TEST(velocity_ramps_along_the_commanded_direction);
     RUN_TEST(a_velocity_ends_the_plan);
     RUN_TEST(velocity_commands_are_limited_along_their_direction);
+    RUN_TEST(limits_of_rotation_have_names_too);
     RUN_TEST(a_ramp_beyond_the_grip_is_cut_and_says_so);
     return UNITY_END();
 }

@@ -67,14 +67,18 @@ def limits_told(acceleration_m_s2, velocity):
 
 
 def test_each_limit_is_told_by_its_name():
-    """A demand that wheel 3 has to carry beyond the grip; a speed beyond what 24 V turn."""
+    """A demand that wheel 3 has to carry beyond the grip; a speed beyond what 24 V turn, and one
+    beyond the speed limit."""
     turning = {"x_mm_s": 1000, "y_mm_s": -300, "omega_mrad_s": 1000}
     assert limits_told(30.0, turning)[0] == "limited by: traction, wheel 3"
     straight = {"x_mm_s": 1000, "y_mm_s": 0, "omega_mrad_s": 0}
-    assert limits_told(30.0, straight)[-1] == "not limited"
+    assert limits_told(1.0, straight) == ["limited by: acceleration", "not limited"]
     fast = {"x_mm_s": 3000, "y_mm_s": -2500, "omega_mrad_s": 0}
     told = limits_told(2.0, fast)
     assert "limited by: voltage, wheel 3" in told
+    assert "limited by: speed" in limits_told(
+        2.0, {"x_mm_s": 0, "y_mm_s": 0, "omega_mrad_s": 12000}
+    )
 
 
 def test_a_request_is_repeated_until_it_is_answered():

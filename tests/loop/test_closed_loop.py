@@ -10,6 +10,7 @@ import pytest
 from loop_run import (
     CONTROLLERS,
     FAULT_UNDER_VOLTAGE,
+    LIMIT_ACCELERATION,
     LIMIT_NONE,
     LIMIT_TRACTION,
     LIMIT_VOLTAGE,
@@ -201,6 +202,12 @@ def test_supply_sags_by_its_current():
 
 
 # ---- limits have names ----
+
+
+def test_a_ramp_at_the_acceleration_limit_is_named():
+    truth = run([command("velocity", 1.0, 0.0, 0.0)], 1.5)
+    assert set(truth["limited"][:600]) == {LIMIT_ACCELERATION}
+    assert set(truth["limited"][-500:]) == {LIMIT_NONE}
 
 
 def test_turning_while_driving_beyond_the_grip_is_named():

@@ -269,7 +269,9 @@ class Happening:
 
 def _limit_line(limit: int, wheel: int) -> str:
     by = LIMITS[limit].lower()
-    return "not limited" if by == "none" else f"limited by: {by}, wheel {wheel}"
+    if by == "none":
+        return "not limited"
+    return f"limited by: {by}, wheel {wheel}" if wheel else f"limited by: {by}"
 
 
 @dataclass(frozen=True)
