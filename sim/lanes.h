@@ -79,6 +79,36 @@ void sine_cosine(const xsimd::batch<T, A> &angle, xsimd::batch<T, A> &sine,
     cosine = both.second;
 }
 
+/* (2/pi) atan x, within two units of the last digit. It is most of what a step costs, and the arc
+ * tangent of xsimd takes three divisions. For x > 0, with |t| <= tan(pi/8):
+ *
+ *   atan x = atan t,  pi/4 + atan t with t = (x-1)/(x+1),  or pi/2 + atan t with t = -1/x
+ *   atan t = t - t z p(z),  z = t^2
+ *
+ * p is the polynomial of FreeBSD's msun (s_atan.c), summed in pairs that do not wait for each
+ * other. As a call it would load its constants for every wheel anew. */
+template <class A>
+[[gnu::always_inline]] inline xsimd::batch<double, A> atan_in_right_angles(
+    const xsimd::batch<double, A> &x) {
+    using S = xsimd::batch<double, A>;
+    constexpr double kTanPi8 = 0.41421356237309505, kTan3Pi8 = 2.414213562373095;
+    const S sign = xsimd::bitofsign(x), size = x ^ sign;
+    const auto small = size < S(kTanPi8);
+    const auto large = size > S(kTan3Pi8);
+    const S above = select(small, size, select(large, S(-1.0), size - S(1.0)));
+    const S below = select(small, S(1.0), select(large, size, size + S(1.0)));
+    const S begin = select(small, S(0.0), select(large, S(1.0), S(0.5)));
+    const S t = above / below, z = t * t, z2 = z * z, z4 = z2 * z2;
+    const S p0 = (S(3.33333333333329318027e-01) - z * S(1.99999999998764832476e-01)) +
+                 z2 * (S(1.42857142725034663711e-01) - z * S(1.11111104054623557880e-01));
+    const S p4 = (S(9.09088713343650656196e-02) - z * S(7.69187620504482999495e-02)) +
+                 z2 * (S(6.66107313738753120669e-02) - z * S(5.83357013379057348645e-02));
+    const S p8 = (S(4.97687799461593236017e-02) - z * S(3.65315727442169155270e-02)) +
+                 z2 * S(1.62858201153657823623e-02);
+    const S turned = S(2.0 / kPi) * t;
+    return (begin + (turned - turned * z * (p0 + z4 * (p4 + z4 * p8)))) ^ sign;
+}
+
 /* Sine and cosine of angles near one for which they are known, to the last digit but one. */
 template <class S>
 class NearbyAngle {

@@ -571,10 +571,9 @@ class RobotPlant : public RobotLayout {
 
     /* (13) per friction limit, along or across the wheels: (2/pi) atan(k s). */
     void friction_law(const S *slip_m_s, S *shape) const {
-        using std::atan;
         for (int i = 0; i < 4; i += kLot) {
-            const Lot angle = atan(Lot(c_.slip_stiffness_s_m) * lot(slip_m_s + i));
-            put(Lot(S(2.0 / kPi)) * angle, shape + i);
+            const Lot scaled = Lot(c_.slip_stiffness_s_m) * lot(slip_m_s + i);
+            put(atan_in_right_angles(scaled), shape + i);
         }
     }
 

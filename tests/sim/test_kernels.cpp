@@ -20,6 +20,34 @@ extern "C" void tearDown() {}
 static const double kStep_s = 1e-4;
 static const double kWholeRun_s = 1e9;
 
+/* ---- the arc tangent of the friction law ---- */
+
+static double atan_in_right_angles(double x) {
+    return lane(omnislip::atan_in_right_angles(LotOf<double>::Type(x)), 0);
+}
+
+/* Over all powers of ten that a slip can have, and where one formula takes over from the next. */
+static void arc_tangent_is_right_to_two_units_of_the_last_digit(void) {
+    for (int k = -40000; k <= 40000; ++k) {
+        const double x = std::pow(10.0, k * 5e-4);
+        const double right = static_cast<double>(std::atan(static_cast<long double>(x)) /
+                                                 std::acos(static_cast<long double>(0.0)));
+        const double last_digit = std::nextafter(right, 2.0) - right;
+        TEST_ASSERT_DOUBLE_WITHIN(2.0 * last_digit, right, atan_in_right_angles(x));
+        TEST_ASSERT_EQUAL_DOUBLE(-atan_in_right_angles(x), atan_in_right_angles(-x));
+    }
+}
+
+static void arc_tangent_keeps_zero_infinity_and_no_number(void) {
+    TEST_ASSERT_EQUAL_DOUBLE(0.0, atan_in_right_angles(0.0));
+    TEST_ASSERT_EQUAL_DOUBLE(0.5, atan_in_right_angles(1.0));
+    TEST_ASSERT_EQUAL_DOUBLE(1.0, atan_in_right_angles(kUnbounded));
+    TEST_ASSERT_EQUAL_DOUBLE(-1.0, atan_in_right_angles(-kUnbounded));
+    TEST_ASSERT_DOUBLE_IS_NAN(atan_in_right_angles(kUnbounded - kUnbounded));
+}
+
+/* ---- kernels ---- */
+
 /* Unevenly sampled commands; sensors "show" zero, so errors are the negative of the outputs. */
 template <class Plant>
 static Recording recording_of(double amplitude) {
@@ -238,6 +266,8 @@ static void linearised_row_is_the_slope_of_the_plant(void) {
 
 int main(void) {
     UNITY_BEGIN();
+    RUN_TEST(arc_tangent_is_right_to_two_units_of_the_last_digit);
+    RUN_TEST(arc_tangent_keeps_zero_infinity_and_no_number);
     RUN_TEST(robots_in_lanes_move_as_one_robot_alone);
     RUN_TEST(axes_in_lanes_move_as_one_axis_alone);
     RUN_TEST(robot_moves_alike_whatever_registers_hold_its_wheels);
