@@ -69,6 +69,7 @@ class AxisPlant {
         active_.add_hooks(user_.prepare(terms, flat + kBase + effect_slot_count(kMotors)));
         inertia_ = c_.mass_kg + c_.inertia_kg_m2;
         gravity_torque_ = flat[4] * flat[5] * flat[6];
+        hangs_ = any_differs(&gravity_torque_, 1, 0.0);
         gear_.prepare(c_.play_rad[0], c_.stiffness_nm_rad[0], c_.damping_nm_s_rad[0], inertia_);
         delays_ = any_differs(c_.delay_s, 1, 0.0);
         soft_ = any_differs(c_.play_rad, 1, 0.0);
@@ -104,9 +105,8 @@ class AxisPlant {
                     AxisInternals<S> &in) const {
         using std::abs;
         using std::max;
-        using std::sin;
         in.force = step.powered * drive(step.command, x);
-        const S gravity = gravity_torque_ * sin(x[1] - c_.zero_angle_rad);
+        const S gravity = gravity_at(x[1]);
         in.friction = friction(x, in.force, max(abs(in.force), abs(gravity)), time_s);
         dx[0] = (in.force + in.friction - gravity) / inertia_;
         dx[1] = x[0];
@@ -146,10 +146,15 @@ class AxisPlant {
     }
 
   private:
-    void twist_gear(const S *x, const Step &step, const AxisInternals<S> &in, S *dx) const {
+    /* Torque with which a pendulum pulls back at this angle; without one the sine is saved. */
+    S gravity_at(const S &angle_rad) const {
         using std::sin;
+        return hangs_ ? gravity_torque_ * sin(angle_rad - c_.zero_angle_rad) : S(0.0);
+    }
+
+    void twist_gear(const S *x, const Step &step, const AxisInternals<S> &in, S *dx) const {
         const S motor = in.force + in.friction;
-        const S road = gravity_torque_ * sin(x[1] - c_.zero_angle_rad - x[kTwist]);
+        const S road = gravity_at(x[1] - x[kTwist]);
         if (step.length_s == kForever_s) {
             dx[kTwist] = gear_.settled_twist(motor, road, dx[0]) * S(step.inverse_s);
         } else {
@@ -197,7 +202,7 @@ class AxisPlant {
     Constants<S, 1> c_;
     S inertia_, input_gain_, back_emf_, gravity_torque_;
     SoftGear<S> gear_;
-    bool delays_ = false, remembers_ = false, soft_ = false;
+    bool delays_ = false, remembers_ = false, soft_ = false, hangs_ = false;
     UserTerms<S, 1> user_;
     ActiveEffects<S, kMotors, kAxis> active_;
 };
