@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from engine_run import motors, parameter_set, simulate
 from omnislip import _core
+from omnislip.model_file import WIRING
 
 CATALOGUE = {effect["name"]: effect for effect in _core.effects()}
 DATA = Path(os.environ.get("OMNISLIP_DATA", Path(__file__).parents[2] / "../shared/data"))
@@ -112,8 +113,10 @@ def documented_effects():
 
 
 @pytest.mark.skipif(not DESIGN.exists(), reason="the design table is not beside the data")
-def test_names_are_those_of_the_design_table():
+def test_the_design_table_is_in_the_plant_with_its_names():
+    """But for the wiring, which acts on logs, and the impact, which is a push of a run."""
     documented = documented_effects()
+    assert set(documented) - set(CATALOGUE) == {"name", "impact", *WIRING}
     for name, effect in CATALOGUE.items():
         names = {parameter["name"] for parameter in effect["parameters"]}
         for alternatives in documented.get(name, []):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from omnislip.errors import InputError
 from omnislip.log_file import read_log, write_log
-from omnislip.model_file import NOMINAL_ROBOT, read_model
+from omnislip.model_file import NOMINAL_ROBOT, Effect, read_model
 from omnislip.scenario import Scenario, Sensors
 from omnislip.simulate import make_log, run_scenario, simulate_truth
 
@@ -140,6 +140,34 @@ def test_where_the_counters_start_does_not_move_the_odometry():
     ]
     assert np.abs(straight[1][0]).max() < 1e-3
     np.testing.assert_allclose(straight[1], straight[0], atol=2e-3)
+
+
+def test_an_impact_of_the_model_acts_in_the_run_that_it_names():
+    blow = {"impulse_x_n_s": 0.0, "impulse_y_n_s": 9.0, "impulse_theta_n_m_s": 0.5}
+    impact = Effect("impact", {"time_s": 0.5} | blow, run="test")
+    struck = replace(scenario().model, effects=[impact])
+    told, asked, other = (
+        simulate_truth(scenario(**changes))["pose"]
+        for changes in (
+            {"model": struck},
+            {"impulses": [{"t_s": 0.5} | blow]},
+            {"model": struck, "name": "another"},
+        )
+    )
+    np.testing.assert_array_equal(told, asked)
+    np.testing.assert_array_equal(other, simulate_truth(scenario())["pose"])
+    assert np.abs(told - other)[:, 1].max() > 0.01
+
+
+def test_camera_noise_has_the_stated_size():
+    sensors = Sensors(pose_noise_m=0.02, pose_noise_rad=0.01)
+    truth = ramp_truth()
+    settings = scenario(sensors=sensors, rate_hz=1000, pose_rate_hz=1000)
+    columns = make_log(settings, truth).columns
+    # 2000 samples: the standard error of the deviation is 1 / 63 of it; 5 of it.
+    for axis, (name, size) in enumerate((("x_m", 0.02), ("y_m", 0.02), ("theta_rad", 0.01))):
+        error = columns[f"pose/{name}"] - truth["camera_pose"][:, axis]
+        assert abs(error.std() - size) < size * 5 / 63
 
 
 def test_the_firmware_sees_the_noise_of_the_supply():

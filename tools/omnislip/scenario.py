@@ -16,6 +16,9 @@
             duty = [d1, d2, d3, d4], stop = true. Holds until the next command.
 [[impact]]  t_s or x_m (first time the robot passes it), and any of impulse_x_n_s,
             impulse_y_n_s, impulse_theta_n_m_s (world frame)
+
+All effects of the model file act, an impact only where its `run` is the name of the scenario;
+mistakes of wiring do not: a simulated robot is wired right.
 """
 
 import json

@@ -18,7 +18,7 @@ from omnislip.errors import InputError
 from omnislip.firmware_parameters import firmware_parameters
 from omnislip.log_file import POSE_COLUMNS, Log
 from omnislip.model_file import Model
-from omnislip.scenario import CONTROL_RATE_HZ, Scenario
+from omnislip.scenario import CONTROL_RATE_HZ, IMPULSES, Scenario
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
@@ -67,7 +67,7 @@ def simulate_truth(
             effects,
             raw_parameters,
             scenario.commands,
-            scenario.impulses,
+            [*scenario.impulses, *_impulses_of_model(scenario)],
             scenario.duration_s,
             step_s,
             on_board=on_board,
@@ -78,6 +78,16 @@ def simulate_truth(
         )
     except ValueError as error:
         raise InputError(f"scenario '{scenario.name}': {error}") from None
+
+
+def _impulses_of_model(scenario: Scenario) -> list[dict[str, float]]:
+    """Return the impacts that the model tells of the run with the name of the scenario."""
+    impacts = [effect for effect in scenario.model.effects if effect.name == "impact"]
+    return [
+        {"t_s": impact.parameters["time_s"]} | {key: impact.parameters[key] for key in IMPULSES}
+        for impact in impacts
+        if impact.run == scenario.name
+    ]
 
 
 Frozen = tuple[tuple[str, float | tuple[float, ...]], ...]
