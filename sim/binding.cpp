@@ -622,6 +622,7 @@ nb::dict step_times_ns(const Numbers &parameters, const nb::list &effects,
     result["slip"] = slip_step_ns(plain);
     result["slip, with effects"] = slip_step_ns(values);
     result["axis"] = axis_step_ns();
+    result["odometry"] = odometry_step_ns();
     result["firmware"] = firmware_tick_ns(firmware_values(firmware_parameters));
     return result;
 }

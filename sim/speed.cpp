@@ -2,6 +2,8 @@
 
 #include <algorithm>
 #include <chrono>
+#include <cmath>
+#include <limits>
 #include <stdexcept>
 
 #include "axis_plant.h"
@@ -9,6 +11,7 @@
 #include "firmware/control_loop.h"
 #include "integrator.h"
 #include "motion_hal.h"
+#include "odometry_plant.h"
 #include "rigid_model.h"
 #include "robot_motion.h"
 
@@ -16,11 +19,13 @@ namespace omnislip {
 namespace {
 
 constexpr double kStep_s = 5e-4;
+constexpr double kNoWheel_deg = std::numeric_limits<double>::quiet_NaN();
 constexpr int kMeasurements = 200, kRepetitions = 1000;
 
-/* Least nanoseconds per call of `work`. */
+/* Least nanoseconds per call of `work`, which runs the state x on: x is looked at in the end, lest
+ * the compiler leave the work out. */
 template <class Work>
-double least_ns(Work &&work) {
+double least_ns(const double *x, Work &&work) {
     using Clock = std::chrono::steady_clock;
     double least = kUnbounded;
     for (int i = 0; i < kMeasurements; ++i) {
@@ -30,6 +35,8 @@ double least_ns(Work &&work) {
         const std::chrono::duration<double, std::nano> spent = Clock::now() - begin;
         least = std::min(least, spent.count() / kRepetitions);
     }
+    if (!std::isfinite(x[0]))
+        throw std::runtime_error("a model ran away while its step was measured");
     return least;
 }
 
@@ -55,6 +62,9 @@ class Shafts {
     void currents_ma(std::int16_t *out) const {
         std::fill_n(out, 4, static_cast<std::int16_t>(0));
     }
+    const double *turned() const {
+        return counts_;
+    }
 
   private:
     double counts_[4] = {}, counts_per_tick_[4] = {};
@@ -71,7 +81,7 @@ double rigid_step_ns(const std::vector<double> &values) {
     const double voltage_v[4] = {4.8, -2.4, 7.2, 2.4};
     double x[RigidModel::kStates] = {};
     RigidInternals in;
-    return least_ns([&] { advance(rigid, x, voltage_v, 0.0, kStep_s, kStep_s, 0.0, in); });
+    return least_ns(x, [&] { advance(rigid, x, voltage_v, 0.0, kStep_s, kStep_s, 0.0, in); });
 }
 
 double slip_step_ns(const std::vector<double> &values) {
@@ -81,7 +91,7 @@ double slip_step_ns(const std::vector<double> &values) {
     double x[RobotLayout::kAll] = {};
     RobotInternals<double> in = {};
     return least_ns(
-        [&] { motion->advance(x, duties, time_s, kStep_s, kStep_s, Rule::kRk4, false, in); });
+        x, [&] { motion->advance(x, duties, time_s, kStep_s, kStep_s, Rule::kRk4, false, in); });
 }
 
 double axis_step_ns() {
@@ -98,7 +108,27 @@ double axis_step_ns() {
     const double rate_1_s = plant.fastest_rate_1_s();
     double x[Plant::kAll] = {};
     AxisInternals<double> in = {};
-    return least_ns([&] { advance(plant, x, commands, time_s, kStep_s, kStep_s, rate_1_s, in); });
+    return least_ns(x,
+                    [&] { advance(plant, x, commands, time_s, kStep_s, kStep_s, rate_1_s, in); });
+}
+
+double odometry_step_ns() {
+    using Plant = OdometryPlant<double>;
+    std::vector<double> values;
+    for (const BaseParameter &p : kOdometryBase)
+        values.push_back(p.value);
+    values.resize(static_cast<std::size_t>(Plant::kBase + effect_slot_count(Plant::kMotors)));
+    constexpr double kBearings_deg[kMostWheels] = {
+        30.0, 150.0, 210.0, 330.0, kNoWheel_deg, kNoWheel_deg, kNoWheel_deg, kNoWheel_deg};
+    std::copy_n(kBearings_deg, kMostWheels, &values[Plant::kBase - kMostWheels]);
+    const bool active[kEffectCount] = {};
+    Plant plant;
+    plant.prepare(values.data(), active);
+    const double time_s = 0.0, rates_rad_s[kMostWheels] = {2.0, -1.0, 3.0, 1.0};
+    const ShownCommands<double> commands(plant, &time_s, rates_rad_s, 0, 1);
+    double x[Plant::kAll] = {};
+    OdometryInternals in;
+    return least_ns(x, [&] { advance(plant, x, commands, time_s, kStep_s, kStep_s, 0.0, in); });
 }
 
 double firmware_tick_ns(const std::vector<std::int32_t> &firmware) {
@@ -109,7 +139,7 @@ double firmware_tick_ns(const std::vector<std::int32_t> &firmware) {
     control_loop_init(&loop, &settings);
     control_loop_tick(&loop); /* BOOT -> IDLE */
     control_loop_arm(&loop);
-    const double spent_ns = least_ns([&] {
+    const double spent_ns = least_ns(shafts.turned(), [&] {
         control_loop_command_velocity(&loop, 500, 300, 1000);
         control_loop_tick(&loop);
     });

@@ -12,8 +12,9 @@ namespace omnislip {
 /* Nanoseconds per RK4 step of 0.5 ms under a constant command; `values` as for run_closed_loop. */
 double rigid_step_ns(const std::vector<double> &values);
 double slip_step_ns(const std::vector<double> &values);
-/* The nominal axis. */
+/* The nominal axis, and a robot of four wheels followed by its encoders. */
 double axis_step_ns();
+double odometry_step_ns();
 /* Nanoseconds per control tick that follows a velocity command with simple shafts; throws
  * std::runtime_error when the firmware stops. */
 double firmware_tick_ns(const std::vector<std::int32_t> &firmware);

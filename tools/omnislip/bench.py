@@ -106,7 +106,7 @@ def _step_times() -> dict[str, float]:
 
 def _models(steps: dict[str, float]) -> Table:
     table = _table("one core, one robot", "model", "ns per step", "step", "times real time")
-    for name in ("rigid", "slip", "slip, with effects", "axis"):
+    for name in ("rigid", "slip", "slip, with effects", "axis", "odometry"):
         label = f"slip with {', '.join(EFFECTS)}" if name == "slip, with effects" else name
         speed = PLANT_STEP_S * 1e9 / steps[name]
         table.add_row(label, f"{steps[name]:.0f}", "0.5 ms", f"{speed:,.0f}")
