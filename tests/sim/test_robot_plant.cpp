@@ -289,6 +289,37 @@ static void numbering_of_the_wheels_does_not_matter(void) {
     }
 }
 
+/* ---- rules of the integrator ---- */
+
+/* y' = -2 t y^2 from y = 1, whose solution is 1 / (1 + t^2): neither linear nor the same at all
+ * times. */
+struct Bell {
+    void derivative(const double *y, int, const double &t, double *dy, int &) const {
+        dy[0] = -2.0 * t * y[0] * y[0];
+    }
+};
+
+template <class Rule>
+static double bell_error(int steps) {
+    const double h = 2.0 / steps;
+    double y = 1.0;
+    int none = 0;
+    for (int k = 0; k < steps; ++k) {
+        take_step<Rule, 1>(Bell(), &y, 0, k * h, h, none);
+    }
+    return std::abs(y - 0.2);
+}
+
+template <class Rule>
+static void assert_order_four(void) {
+    TEST_ASSERT_DOUBLE_WITHIN(0.25, 4.0, std::log2(bell_error<Rule>(100) / bell_error<Rule>(200)));
+}
+
+static void error_of_either_rule_falls_with_the_fourth_power_of_the_step(void) {
+    assert_order_four<Rk4>();
+    assert_order_four<Merson>();
+}
+
 /* ---- step size ---- */
 
 static void steps_divide_the_interval_and_keep_to_both_bounds(void) {
@@ -358,6 +389,7 @@ int main(void) {
     RUN_TEST(spinning_wheels_turn_the_robot_at_mu_m_g_l_over_iz);
     RUN_TEST(alternating_sum_of_slip_is_that_of_the_wheels);
     RUN_TEST(numbering_of_the_wheels_does_not_matter);
+    RUN_TEST(error_of_either_rule_falls_with_the_fourth_power_of_the_step);
     RUN_TEST(steps_divide_the_interval_and_keep_to_both_bounds);
     RUN_TEST(stiff_light_robot_is_stable_at_the_default_step);
     RUN_TEST(robot_of_small_inertia_turns_without_chatter);
