@@ -10,8 +10,8 @@
  * on the robot's shafts; "torque" is force on a linear axis. A pendulum loads the gear also while
  * the motor gives nothing: load dependent friction takes the larger of tau and its torque. Behind
  * the state the memory (3) of memory.h: command that has left the driver, slack and twist of a soft
- * gear; friction is then on the motor's side, the pendulum behind the gear, and the position is
- * that of the motor.
+ * gear or drive (two masses); friction is then on the motor's side, the pendulum behind the gear,
+ * and the position is that of the motor.
  */
 #ifndef OMNISLIP_SIM_AXIS_PLANT_H
 #define OMNISLIP_SIM_AXIS_PLANT_H
@@ -70,9 +70,10 @@ class AxisPlant {
         inertia_ = c_.mass_kg + c_.inertia_kg_m2;
         gravity_torque_ = flat[4] * flat[5] * flat[6];
         hangs_ = any_differs(&gravity_torque_, 1, 0.0);
-        gear_.prepare(c_.play_rad[0], c_.stiffness_nm_rad[0], c_.damping_nm_s_rad[0], inertia_);
+        gear_.prepare(c_.play_rad[0], c_.stiffness_nm_rad[0], c_.damping_nm_s_rad[0],
+                      c_.load_share[0], inertia_);
         delays_ = any_differs(c_.delay_s, 1, 0.0);
-        soft_ = any_differs(c_.play_rad, 1, 0.0);
+        soft_ = any_differs(c_.play_rad, 1, 0.0) || any_differs(c_.stiffness_nm_rad, 1, kUnbounded);
         remembers_ = soft_ || any_differs(c_.driver_lag_s, 1, 0.0);
     }
 

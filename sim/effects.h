@@ -32,6 +32,7 @@
 namespace omnislip {
 
 constexpr double kUnbounded = std::numeric_limits<double>::infinity();
+constexpr double kLoadShare = 0.2; /* wheel, shaft and last gear, of the drive's inertia */
 constexpr int kMaxEffectParameters = 5;
 
 struct ParameterInfo {
@@ -101,7 +102,7 @@ struct Constants {
     S friction_speed;               /* rad/s at the shaft; a Coulomb torque is smoothed over it */
     /* memory: see memory.h */
     S delay_s[N], driver_lag_s[N], inductance_h[N], heating_1_a2_s[N], bristle_length_m[N];
-    S play_rad[N], stiffness_nm_rad[N], damping_nm_s_rad[N];
+    S play_rad[N], stiffness_nm_rad[N], damping_nm_s_rad[N], load_share[N];
 };
 
 template <class S, int N>
@@ -628,21 +629,23 @@ struct GearBacklash : Effect {
 struct ShaftCompliance : Effect {
     static constexpr EffectInfo info = {
         "shaft_compliance",
-        "The shaft between motor and wheel is a spring.",
-        "wheel torque = stiffness twist + damping twist'",
+        "The shaft between motor and wheel or load is a spring.",
+        "load torque = stiffness twist + damping twist'; load_share of the inertia is behind it",
         "gear",
-        "spring and damper at the wheel side, a fifth of J0 behind them",
+        "two-mass drive: spring and damper at the wheel side, encoder at the motor",
         Scope::kCommon,
-        kRobot,
+        kRobot | kAxis,
         kPrepare,
-        2,
+        3,
         {{"stiffness_nm_rad", "N m/rad", kUnbounded, 5.0, kUnbounded, 100.0},
-         {"damping_nm_s_rad", "N m s/rad", 0.1, 0.0, 1.0, 0.0}}};
+         {"damping_nm_s_rad", "N m s/rad", 0.1, 0.0, kUnbounded, 0.0},
+         {"load_share", "1", kLoadShare, 0.05, 0.95, 0.0}}};
     template <class S, int N>
     static void prepare(Constants<S, N> &c, const Values<S> &p) {
         for (int i = 0; i < N; ++i) {
             c.stiffness_nm_rad[i] = p(0, i);
             c.damping_nm_s_rad[i] = p(1, i);
+            c.load_share[i] = p(2, i);
         }
     }
 };

@@ -14,7 +14,7 @@
  * that moves the error is second order in h.
  *
  * A soft gear parts the inertia J of a drive (seen at the wheel) into motor (1 - p) J and wheel
- * p J, p = kWheelShare. Twist t = motor - wheel angle, slack u = wheel - motor speed = -t':
+ * p J, p = load_share. Twist t = motor - wheel angle, slack u = wheel - motor speed = -t':
  *
  *   gear torque  k (t -+ play / 2) + c t' outside of the play, 0 inside; teeth do not pull
  *   (1 - p) J motor' = motor torque - gear,   p J wheel' = gear - road
@@ -31,7 +31,6 @@ namespace omnislip {
 inline namespace OMNISLIP_INSTRUCTION_SET {
 
 constexpr double kCoolingTime_s = 60.0; /* of a winding into its housing */
-constexpr double kWheelShare = 0.2;     /* wheel, shaft and last gear, of the drive's inertia */
 /* Teeth that meet behind a play, where no compliance is given: a stiff, well damped contact. */
 constexpr double kToothFrequency_rad_s = 3000.0;
 constexpr double kToothDampingRatio = 0.6;
@@ -66,6 +65,7 @@ void forget(Constants<S, N> &c) {
         c.heating_1_a2_s[i] = c.bristle_length_m[i] = c.play_rad[i] = S(0.0);
         c.stiffness_nm_rad[i] = S(kUnbounded);
         c.damping_nm_s_rad[i] = S(0.0);
+        c.load_share[i] = S(kLoadShare);
     }
 }
 
@@ -88,12 +88,15 @@ struct Relaxation {
 template <class S>
 class SoftGear {
   public:
-    void prepare(const S &play, const S &stiffness, const S &damping, const S &inertia) {
-        const S reduced = S(kWheelShare * (1.0 - kWheelShare)) * inertia;
+    void prepare(const S &play, const S &stiffness, const S &damping, const S &load_share,
+                 const S &inertia) {
+        const S reduced = load_share * (S(1.0) - load_share) * inertia;
         const S tooth = S(kToothFrequency_rad_s * kToothFrequency_rad_s) * reduced;
         const S tooth_damping = S(2.0 * kToothDampingRatio * kToothFrequency_rad_s) * reduced;
         const auto springy = stiffness < S(kUnbounded);
         inertia_ = inertia;
+        load_share_ = load_share;
+        reduced_ = reduced;
         half_play_ = S(0.5) * play;
         damping_ = select(springy, damping, tooth_damping);
         stiffness_ = select(springy, stiffness, select(play > S(0.0), tooth, S(0.0)));
@@ -103,8 +106,8 @@ class SoftGear {
     void accelerate(const S &motor, const S &road, const S &twist, const S &slack,
                     S &motor_acceleration, S &slack_rate) const {
         const S gear = torque(twist, -slack);
-        const S motor_side = (motor - gear) / (S(1.0 - kWheelShare) * inertia_);
-        const S wheel_side = (gear - road) / (S(kWheelShare) * inertia_);
+        const S motor_side = (motor - gear) / ((S(1.0) - load_share_) * inertia_);
+        const S wheel_side = (gear - road) / (load_share_ * inertia_);
         const auto soft = stiffness_ > S(0.0);
         motor_acceleration = select(soft, motor_side, (motor - road) / inertia_);
         slack_rate = select(soft, wheel_side - motor_side, S(0.0));
@@ -113,7 +116,7 @@ class SoftGear {
     /* Twist at which both sides accelerate alike, and that acceleration. */
     S settled_twist(const S &motor, const S &road, S &acceleration) const {
         acceleration = (motor - road) / inertia_;
-        const S gear = road + S(kWheelShare) * inertia_ * acceleration;
+        const S gear = road + load_share_ * inertia_ * acceleration;
         const auto soft = stiffness_ > S(0.0);
         const S sprung = gear / select(soft, stiffness_, S(1.0));
         return select(soft, sprung + sign_of(gear) * half_play_, S(0.0));
@@ -123,12 +126,11 @@ class SoftGear {
     S rate_1_s() const {
         using std::max;
         using std::sqrt;
-        const S reduced = S(kWheelShare * (1.0 - kWheelShare)) * inertia_;
-        const S fastest = max(sqrt(stiffness_ / reduced), damping_ / reduced);
+        const S fastest = max(sqrt(stiffness_ / reduced_), damping_ / reduced_);
         return select(stiffness_ > S(0.0), fastest, S(0.0));
     }
     S lightening() const {
-        return select(stiffness_ > S(0.0), S(1.0 / kWheelShare), S(1.0));
+        return select(stiffness_ > S(0.0), S(1.0) / load_share_, S(1.0));
     }
 
   private:
@@ -141,7 +143,7 @@ class SoftGear {
         return select(half_play_ > S(0.0), pressed, sprung);
     }
 
-    S inertia_, half_play_, stiffness_, damping_;
+    S inertia_, load_share_, reduced_, half_play_, stiffness_, damping_;
 };
 
 /* Whether a command differs much from the one before it in memory. */

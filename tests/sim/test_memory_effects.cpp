@@ -18,7 +18,7 @@ static const Robot::Command kDuty = {0.6, -0.4, 0.9, 0.2};
 static const Robot::State kMoving = {300.0, -150.0, 40.0, -3.0, 5.0, 11.0, -7.0,
                                      2.0,   0.9,    -0.4, 1.5,  0.3, -0.6, 0.8};
 static const double kDriveInertia_kg_m2 = 2.5e-5 * 12.0 * 12.0; /* seen at the wheel */
-static const double kReduced_kg_m2 = kWheelShare * (1.0 - kWheelShare) * kDriveInertia_kg_m2;
+static const double kReduced_kg_m2 = kLoadShare * (1.0 - kLoadShare) * kDriveInertia_kg_m2;
 
 /* An axis of force 1 and mass 1 without friction. */
 static AxisModel free_axis() {
@@ -196,7 +196,7 @@ static void compliant_shaft_rings_at_its_natural_frequency(void) {
     robot.drive(kRest, period_s / 2.0, 1e-5);
     TEST_ASSERT_DOUBLE_WITHIN(1e-7, -twist, robot.all[Layout::kTwist]);
     /* the motor's share of the swing, in angle of the shaft */
-    TEST_ASSERT_DOUBLE_WITHIN(1e-5, -2.0 * twist * kWheelShare * 12.0,
+    TEST_ASSERT_DOUBLE_WITHIN(1e-5, -2.0 * twist * kLoadShare * 12.0,
                               robot.x[Layout::kAngle] - start_rad);
     robot.drive(kRest, period_s / 2.0, 1e-5);
     TEST_ASSERT_DOUBLE_WITHIN(1e-7, twist, robot.all[Layout::kTwist]);
@@ -245,7 +245,7 @@ static void motor_is_alone_inside_of_the_play(void) {
     Axis axis(free_axis().effect("gear_backlash", "angle_rad", 1.0));
     axis.drive({0.0}, 0.1);
     axis.drive({1.0}, 0.5);
-    const double expected_m_s = 0.5 / (1.0 - kWheelShare);
+    const double expected_m_s = 0.5 / (1.0 - kLoadShare);
     TEST_ASSERT_DOUBLE_WITHIN(1e-12, expected_m_s, axis.x[0]);
     TEST_ASSERT_DOUBLE_WITHIN(1e-12, -expected_m_s, axis.all[AxisPlant<double>::kSlack]);
     TEST_ASSERT_DOUBLE_WITHIN(1e-12, axis.x[1], axis.all[AxisPlant<double>::kTwist]);
@@ -257,7 +257,80 @@ static void play_keeps_the_momentum(void) {
     axis.drive({1.0}, 0.2);
     axis.drive({-1.0}, 0.5);
     const double motor = axis.x[0], wheel = motor + axis.all[AxisPlant<double>::kSlack];
-    TEST_ASSERT_DOUBLE_WITHIN(1e-10, 0.2 - 0.5, (1.0 - kWheelShare) * motor + kWheelShare * wheel);
+    TEST_ASSERT_DOUBLE_WITHIN(1e-10, 0.2 - 0.5, (1.0 - kLoadShare) * motor + kLoadShare * wheel);
+}
+
+/* Two masses on a spring, pushed by F from rest: the centre of mass moves as the rigid axis does,
+ * the twist is p F / k (1 - cos w t), w^2 = k / (p (1 - p) M), and p of it is the motor's lead. */
+static AxisModel two_masses(double stiffness_n_m, double damping_n_s_m, double load_share) {
+    return free_axis()
+        .effect("shaft_compliance", "stiffness_nm_rad", stiffness_n_m)
+        .effect("shaft_compliance", "damping_nm_s_rad", damping_n_s_m)
+        .effect("shaft_compliance", "load_share", load_share);
+}
+
+static void motor_of_a_soft_axis_rings_about_the_rigid_motion(void) {
+    const double stiffness = 400.0, force = 2.0, duration_s = 0.37;
+    for (const double share : {0.1, 0.5, 0.8}) {
+        Axis axis(two_masses(stiffness, 0.0, share));
+        axis.drive({0.0}, 0.1);
+        axis.drive({force}, duration_s);
+        const double rate = std::sqrt(stiffness / (share * (1.0 - share)));
+        const double twist = share * force / stiffness * (1.0 - std::cos(rate * duration_s));
+        const double centre = force * duration_s * duration_s / 2.0;
+        TEST_ASSERT_DOUBLE_WITHIN(1e-7, twist, axis.all[AxisPlant<double>::kTwist]);
+        TEST_ASSERT_DOUBLE_WITHIN(1e-7, centre + share * twist, axis.x[1]);
+    }
+}
+
+static void damped_twist_of_an_axis_decays(void) {
+    const double stiffness = 400.0, damping = 1.5, share = 0.3, twist = 0.01;
+    const double reduced = share * (1.0 - share), rate = damping / (2.0 * reduced);
+    const double damped = std::sqrt(stiffness / reduced - rate * rate);
+    const double period_s = 2.0 * kPi / damped;
+    Axis axis(two_masses(stiffness, damping, share));
+    axis.drive({0.0}, 1e-6);
+    axis.all[AxisPlant<double>::kTwist] = twist;
+    axis.drive({0.0}, period_s);
+    TEST_ASSERT_DOUBLE_WITHIN(1e-8, twist * std::exp(-rate * period_s),
+                              axis.all[AxisPlant<double>::kTwist]);
+}
+
+/* The stiffer the spring, the nearer the rigid axis: the motor leads it by p^2 F / k. */
+static void stiff_axis_is_the_rigid_one(void) {
+    const double force = 1.0, share = 0.2;
+    for (const double stiffness : {1e3, 1e5, 1e8}) {
+        Axis rigid(free_axis()), soft(two_masses(stiffness, 0.0, share));
+        for (Axis *axis : {&rigid, &soft}) {
+            axis->drive({0.0}, 0.1);
+            axis->drive({force}, 0.2);
+        }
+        TEST_ASSERT_DOUBLE_WITHIN(2.001 * share * share * force / stiffness, rigid.x[1], soft.x[1]);
+    }
+}
+
+/* Motor, spring and a pendulum behind it: nothing brakes. */
+static void soft_pendulum_keeps_its_energy(void) {
+    const double stiffness = 5.0, share = 0.6, inertia = 0.02, torque = 0.5 * 9.81 * 0.2;
+    Axis axis(AxisModel()
+                  .set("axis.inertia", inertia)
+                  .set("axis.pendulum_mass_kg", 0.5)
+                  .set("axis.pendulum_length_m", 0.2)
+                  .effect("shaft_compliance", "stiffness_nm_rad", stiffness)
+                  .effect("shaft_compliance", "damping_nm_s_rad", 0.0)
+                  .effect("shaft_compliance", "load_share", share));
+    const auto energy = [&] {
+        const double motor = axis.x[0], load = motor + axis.all[AxisPlant<double>::kSlack];
+        const double twist = axis.all[AxisPlant<double>::kTwist];
+        return (1.0 - share) * inertia * motor * motor / 2.0 + share * inertia * load * load / 2.0 +
+               stiffness * twist * twist / 2.0 + torque * (1.0 - std::cos(axis.x[1] - twist));
+    };
+    axis.x[1] = 2.5;
+    axis.drive({0.0}, 1e-6);
+    axis.all[AxisPlant<double>::kTwist] = 0.1;
+    const double before = energy();
+    axis.drive({0.0}, 2.0);
+    TEST_ASSERT_DOUBLE_WITHIN(1e-6, before, energy());
 }
 
 /* ---- all ---- */
@@ -362,6 +435,10 @@ int main(void) {
     RUN_TEST(lost_motion_of_a_reversal_is_the_play);
     RUN_TEST(motor_is_alone_inside_of_the_play);
     RUN_TEST(play_keeps_the_momentum);
+    RUN_TEST(motor_of_a_soft_axis_rings_about_the_rigid_motion);
+    RUN_TEST(damped_twist_of_an_axis_decays);
+    RUN_TEST(stiff_axis_is_the_rigid_one);
+    RUN_TEST(soft_pendulum_keeps_its_energy);
     RUN_TEST(vanishing_memory_is_the_plant_without_it);
     RUN_TEST(settled_robot_accelerates_as_without_memory);
     RUN_TEST(error_falls_with_the_square_of_the_step);

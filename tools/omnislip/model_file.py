@@ -95,6 +95,9 @@ TRANSLATING_NAMES = {
     "viscous_nm_s": "viscous_n_s_m",
     "speed_rad_s": "speed_m_s",
     "cycles_per_rev": "cycles_per_m_2pi",
+    "angle_rad": "play_m",
+    "stiffness_nm_rad": "stiffness_n_m",
+    "damping_nm_s_rad": "damping_n_s_m",
 }
 ODOMETRY_KEYS = {
     "odometry.wheel_radius_m": POSITIVE,

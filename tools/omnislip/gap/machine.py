@@ -54,9 +54,14 @@ TRANSLATING_UNITS = {
     "viscous_nm_s": "N s/m",
     "speed_rad_s": "m/s",
     "cycles_per_rev": "rad/m",
+    "angle_rad": "m",
+    "stiffness_nm_rad": "N/m",
+    "damping_nm_s_rad": "N s/m",
 }
 AXIS_COMMAND = 3.0
 """A command (V, A) that a limit worth looking for would clip."""
+AXIS_RESONANCE_RAD_S = 2 * math.pi * 50.0
+"""Where a two-mass drive worth looking for rings: screws and belts lie between 20 and 100 Hz."""
 PERIODIC_UNIT = "rad"
 NEEDS = {"pendulum_zero_error": "axis.pendulum_mass_kg"}
 """Effects of what a machine may not have, and the key that says it has it."""
@@ -66,6 +71,7 @@ PLACES = 25
 # A size that is infinite when absent (stiffness, limit) is sought up to so many typical ones: a
 # gear ten times stiffer shows in no log and would be integrated in tiny steps.
 MOST_OF_ABSENT = 10.0
+MOST_DAMPING = 20.0
 
 
 @dataclass(frozen=True)
@@ -306,24 +312,24 @@ class Machine:
         sizes = [i for i, p in enumerate(own) if p["typical"] != 0]
         shapes = {i: p for i, p in enumerate(own) if p["typical"] == 0}
         starts = _shape_starts(entry["name"], {**shapes, **_infinite(own)})
-        if self.kind == "axis" and own[0]["name"] == "limit_a":  # those are in ampere
-            newton = parameters[0].scale / own[0]["typical"]
-            starts = tuple({i: size * newton for i, size in start.items()} for start in starts)
+        if self.kind == "axis" and not math.isfinite(own[0]["neutral"]):  # the grid is a robot's
+            ratio = [
+                p.scale / (entry["typical"] or entry["neutral"])
+                for p, entry in zip(parameters, own, strict=True)
+            ]
+            starts = tuple({i: x * ratio[i] for i, x in start.items()} for start in starts)
         return Candidate(entry["name"], wheel, tuple(parameters), tuple(sizes), starts)
 
     def _effect_parameter(self, effect: str, entry: dict, wheel: int | None) -> Parameter:
-        if entry["typical"] == 0:
-            scale = _shape_scale(entry)
-        elif self.kind == "axis" and effect not in self.model.definitions:
-            scale = self._axis_size(effect, entry["name"], entry["typical"])
-        else:
-            scale = abs(entry["typical"])
+        scale = self._scale(effect, entry)
         places = self.place(effect, entry["name"], wheel)
         low, high = entry["low"], entry["high"]
         if self.kind == "axis" and entry["name"] == "limit_a":
             low = 0.01 * scale  # the catalogue's bound is in ampere
         if not math.isfinite(entry["neutral"]) and entry["typical"] != 0:
             high = min(high, MOST_OF_ABSENT * scale)
+        if entry["name"] == "damping_nm_s_rad":  # beyond, the spring is bridged
+            high = MOST_DAMPING * scale
         if entry["name"] == PHASE:  # a fit may go on past half a turn
             low, high = 2.0 * low, 2.0 * high
         return Parameter(entry["name"], places, scale, low, high)
@@ -333,10 +339,20 @@ class Machine:
         shapes = [p for i, p in enumerate(candidate.parameters) if i not in candidate.amplitudes]
         return all(np.isfinite(self.believed[list(p.places)]).all() for p in shapes)
 
-    def _axis_size(self, effect: str, parameter: str, typical: float) -> float:
-        """Size worth looking for, from the axis' own scale: its force at unit command."""
+    def _scale(self, effect: str, entry: dict) -> float:
+        """Size worth looking for: of an axis from its own scale, if that says one."""
+        if self.kind == "axis" and effect not in self.model.definitions:
+            own = self._axis_size(effect, entry["name"])
+            if own is not None:
+                return own
+        return abs(entry["typical"]) if entry["typical"] != 0 else _shape_scale(entry)
+
+    def _axis_size(self, effect: str, parameter: str) -> float | None:
+        """Size from the force of an axis at unit command, its inertia and friction."""
         inertia, gain, _, viscous = self.believed[:4]
         viscous_size = max(0.1 * viscous, 0.01 * inertia)
+        load_share = self.catalogue["shaft_compliance"]["parameters"][2]["neutral"]
+        reduced = load_share * (1.0 - load_share) * inertia
         sizes = {
             "torque_nm": 0.1 * gain,
             "limit_a": AXIS_COMMAND * gain,
@@ -344,10 +360,12 @@ class Machine:
             "viscous_nm_s": viscous_size,
             "mass_kg": 0.05 * inertia,
             "inertia_kg_m2": 0.05 * inertia,
+            "stiffness_nm_rad": reduced * AXIS_RESONANCE_RAD_S**2,
+            "damping_nm_s_rad": 0.4 * reduced * AXIS_RESONANCE_RAD_S,  # damping ratio 0.2
         }
         if effect == "quadratic_wheel_drag":
             return viscous_size**2 / (0.1 * gain)  # as strong as the viscous at 0.1 gain
-        return sizes.get(parameter, abs(typical))
+        return sizes.get(parameter)
 
 
 def _infinite(parameters: Sequence[dict]) -> dict[int, dict]:
@@ -368,7 +386,12 @@ def _shape_scale(parameter: dict) -> float:
 
 
 # Parameters that refine an effect once it is named, where it alone does not fit.
-EXTENSIONS = {("contact_shape", "brush"), ("contact_shape", "root"), ("contact_shape", "roller")}
+EXTENSIONS = {
+    ("contact_shape", "brush"),
+    ("contact_shape", "root"),
+    ("contact_shape", "roller"),
+    ("shaft_compliance", "load_share"),
+}
 
 # Starting values of shaping parameters; where the fit is not convex one start is not enough.
 SHAPE_GRIDS = {
