@@ -7,19 +7,26 @@ import pytest
 from omnislip.gap.find import find_gap, to_json
 from omnislip.gap.machine import Machine
 from omnislip.gap.measured import (
+    CASES,
     NOISE_STEPS,
+    answer_to_pulses,
     closed_loop_errors,
     first_half,
     halved_rate,
     noisier,
     surprises,
 )
+from omnislip.gap.recordings import make_run
 from omnislip.importers import data_folder
 from omnislip.importers.bam import import_bam, published_model, read_records
+from omnislip.importers.emps import import_emps
+from omnislip.importers.optiodom import import_optiodom
 from omnislip.log_file import Log, read_log, write_log
+from omnislip.model_file import Model, read_model
 
 BAM = data_folder() / "bam_xl330"
-needs_data = pytest.mark.skipif(not BAM.exists(), reason="tools/fetch-data was not run")
+DATA_SETS = ("emps", "bam_xl330", "optiodom_omni")
+IMPORTERS = {"emps": import_emps, "bam": import_bam, "optiodom": import_optiodom}
 AXIS = Log(
     "run",
     np.arange(6) * 0.1,
@@ -45,15 +52,21 @@ def test_first_half_and_noise_leave_the_commands_alone():
     assert 0.0 < np.abs(change).max() < 5 * NOISE_STEPS * 0.01
 
 
-@pytest.fixture(scope="module")
-def bam(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("bam")
-    *logs, model = import_bam(data_folder(), folder)
-    return model, [read_log(path, "axis") for path in logs]
+@pytest.fixture(scope="module", params=[case.name for case in CASES])
+def case(request, tmp_path_factory):
+    """A data set with its model, its logs and what all of them say."""
+    if not all((data_folder() / name).exists() for name in DATA_SETS):
+        pytest.skip("tools/fetch-data was not run")
+    chosen = next(case for case in CASES if case.name == request.param)
+    folder = tmp_path_factory.mktemp(chosen.name)
+    IMPORTERS[chosen.importer](data_folder(), folder)
+    model, paths = folder / chosen.model, chosen.logs(folder)
+    logs = [read_log(path, read_model(model).kind) for path in paths]
+    return chosen.name, model, logs, to_json(find_gap(model, paths, lambda text: None))
 
 
 def found(model: Path, logs: list[Log], folder: Path) -> dict:
-    paths = [folder / f"{log.name}.csv" for log in logs]
+    paths = [folder / log.series / f"{log.name}.csv" for log in logs]
     for path, log in zip(paths, logs, strict=True):
         write_log(log, path)
     return to_json(find_gap(model, paths, lambda text: None))
@@ -74,33 +87,59 @@ def test_another_name_without_a_warning_is_a_surprise():
     assert surprises(said("effect_found", ("stribeck_friction", [])), everything) == []
 
 
-def warned_or_same(numbers: dict, name: str) -> bool:
-    """Whether `name` is found, or a rival of what is found, or nothing is claimed."""
-    names = {n for e in numbers["effects"] for n in (e["name"], *e["ambiguous_with"])}
-    return name in names or numbers["verdict"] in ("unknown_effect", "insufficient_data")
+def every_second(logs: list[Log]) -> list[Log]:
+    return logs[::2]
 
 
-@needs_data
-def test_half_of_the_runs_name_the_same_friction(bam, tmp_path):
-    model, logs = bam
-    numbers = found(model, logs[::2], tmp_path)
-    assert warned_or_same(numbers, "load_dependent_friction")
-    assert "stribeck_friction" not in [e["name"] for e in numbers["effects"]]
+def half_the_rate(logs: list[Log]) -> list[Log]:
+    return [halved_rate(log) for log in logs]
 
 
-@needs_data
-def test_half_the_rate_names_the_same_friction(bam, tmp_path):
-    model, logs = bam
-    numbers = found(model, [halved_rate(log) for log in logs], tmp_path)
-    assert warned_or_same(numbers, "load_dependent_friction")
-    assert "stribeck_friction" not in [e["name"] for e in numbers["effects"]]
+# What may be said of less data is told by `surprises`; this much of the names has to stay.
+ALWAYS = {
+    "emps": {"coulomb_friction", "asymmetric_friction"},
+    "bam_xl330": {"load_dependent_friction"},
+    "optiodom_omni4": {"wheel_radius_error", "lateral_slip"},
+    "optiodom_omni3": set(),
+}
+NEVER = {"bam_xl330": {"stribeck_friction"}}
 
 
-@pytest.mark.skipif(
-    not (BAM / "published_params_xl330_m1.json").exists(), reason="the authors' file is not there"
-)
+@pytest.mark.parametrize("less", [every_second, half_the_rate])
+def test_half_of_the_data_does_not_change_a_name_without_a_warning(case, less, tmp_path):
+    name, model, logs, everything = case
+    numbers = found(model, less(logs), tmp_path)
+    assert surprises(numbers, everything) == []
+    for said in (numbers, everything):
+        effects = said["effects"] or said["nearest"]
+        names = {n for e in effects for n in (e["name"], *e["ambiguous_with"])}
+        assert ALWAYS[name] <= names or said["verdict"] == "insufficient_data"
+        assert not names & NEVER.get(name, set())
+
+
+def test_a_dead_time_shows_as_such_in_the_answer_to_pulses():
+    rng = np.random.default_rng(1)
+    rows, row_s, late_rows = 20000, 1e-3, 3
+    pulses = 5.0 * (rng.uniform(size=rows // 10) < 0.05).repeat(10)
+    model = Model("axis", {"axis.mass_kg": 10.0, "axis.input_gain_n_v": 20.0})
+    machine = Machine(model)
+    command = np.roll(pulses, late_rows)  # what the mass feels
+    speed = np.concatenate([[0.0], np.cumsum(2.0 * command * row_s)])[:-1]
+    place = np.cumsum(speed * row_s) + np.cumsum(command) * row_s**2
+    log = Log(
+        "run",
+        np.arange(rows) * row_s,
+        {"axis/command": pulses, "axis/position_m": np.concatenate([[0.0], place[:-1]])},
+    )
+    for band in answer_to_pulses(machine, machine.believed, make_run(machine, log), pulses):
+        assert band.mass_ratio == pytest.approx(1.0, abs=0.02)
+        assert band.dead_time_s == pytest.approx(late_rows * row_s, rel=0.02)
+        assert band.coherence > 0.9
+
+
+@pytest.mark.skipif(not BAM.exists(), reason="tools/fetch-data was not run")
 def test_the_authors_model_has_the_error_that_they_found():
-    machine = Machine(published_model(BAM / "published_params_xl330_m1.json"))
+    machine = Machine(published_model())
     errors = closed_loop_errors(machine, machine.believed, read_records(data_folder()))
     # 86 mrad in their own simulator, which steps and stops otherwise.
     assert 1e3 * errors.mean() == pytest.approx(86.0, abs=2.0)

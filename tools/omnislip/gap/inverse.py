@@ -23,12 +23,15 @@ EDGE_S = 0.05
 """Left out at both ends, where a filter knows one side only."""
 
 
-def relative_force_error(machine: Machine, run: Run, values: Array) -> float:
-    """Return |F - model| / |F| of one parameter set over a run of an axis (0.04 is 4 %)."""
+def relative_force_error(machine: Machine, run: Run, values: Array, late_s: float = 0.0) -> float:
+    """Return |F - model| / |F| of one parameter set over a run of an axis (0.04 is 4 %).
+
+    The motion is taken to answer the command `late_s` ago.
+    """
     step_s = float(np.median(np.diff(run.t_s)))
     grid = np.arange(run.t_s[0], run.t_s[-1], step_s)
-    command = np.interp(grid, run.t_s, run.command[:, 0])
-    position = _low_pass(np.interp(grid, run.t_s, run.outputs[:, 0]), step_s)
+    command = np.interp(grid - late_s, run.t_s, run.command[:, 0])
+    position = low_pass(np.interp(grid, run.t_s, run.outputs[:, 0]), step_s)
     speed = np.gradient(position, step_s)
     states = np.stack([speed, position], axis=1)
     at_rest = np.stack([np.zeros_like(speed), position], axis=1)
@@ -44,7 +47,8 @@ def relative_force_error(machine: Machine, run: Run, values: Array) -> float:
     return float(np.linalg.norm(error) / np.linalg.norm(force))
 
 
-def _low_pass(values: Array, step_s: float) -> Array:
+def low_pass(values: Array, step_s: float) -> Array:
+    """Return `values` without what is above CUT_HZ, not delayed."""
     share = min(2 * CUT_HZ * step_s, 0.8)
     return filtfilt(*butter(4, share), values)
 

@@ -50,6 +50,17 @@ BELIEVED = Model(
 )
 
 
+# bam/params/xl330/m1.json of the authors' repository, commit 1b5a1ce.
+PUBLISHED_M1 = {
+    "kt": 0.3866957639281311,
+    "R": 4.017129222290597,
+    "armature": 0.0018141672784458866,
+    "q_offset": 0.030871000250528358,
+    "friction_base": 0.01283272036582759,
+    "friction_viscous": 0.003661672282824312,
+}
+
+
 @dataclass(frozen=True)
 class Record:
     """One record; every array (n,): `on` says whether the drive was switched on."""
@@ -95,9 +106,9 @@ def import_bam(data: Path, out: Path) -> list[Path]:
     return written
 
 
-def published_model(path: Path) -> Model:
-    """Return the authors' model M1 (Coulomb and viscous friction) from their parameter file."""
-    found = json.loads(path.read_text(encoding="utf-8"))
+def published_model() -> Model:
+    """Return the authors' model M1: Coulomb and viscous friction."""
+    found = PUBLISHED_M1
     gain = found["kt"] / found["R"]
     values = {
         "axis.inertia_kg_m2": found["armature"] + MASS_KG * LENGTH_M**2,

@@ -2,7 +2,9 @@
 
 Source: A. Janot, M. Gautier, M. Brunot, "Data Set and Reference Models of EMPS", Workshop on
 Nonlinear System Identification Benchmarks, 2019. train.csv is their DATA_EMPS.mat, test.csv
-DATA_EMPS_PULSES.mat, the same movement with disturbance pulses in the command.
+DATA_EMPS_PULSES.mat, the same movement with disturbance pulses in the command. The position is that
+of the encoder on the motor, in metres of the carriage; an encoder at the end of the screw and an
+accelerometer on the load exist and are in neither record.
 
 The model is what a user would believe beforehand: force = 35.15 N/V of drive input, mass, viscous
 friction; no other friction and no offset.
@@ -11,11 +13,14 @@ friction; no other friction and no offset.
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 import scipy.io
 
 from omnislip.errors import InputError
 from omnislip.log_file import Log, write_log
 from omnislip.model_file import Model, write_model
+
+Array = npt.NDArray[np.float64]
 
 RECORDS = {"train": "DATA_EMPS.mat", "test": "DATA_EMPS_PULSES.mat"}
 BELIEVED = Model(
@@ -36,7 +41,7 @@ def import_emps(data: Path, out: Path) -> list[Path]:
     Returns the paths written. InputError if a file is missing or not as the authors publish it;
     nothing is written then.
     """
-    logs = [_read_record(data / "emps" / file, name) for name, file in RECORDS.items()]
+    logs = [read_record(data, name) for name in RECORDS]
     written = []
     for log in logs:
         written.append(out / f"{log.name}.csv")
@@ -46,18 +51,27 @@ def import_emps(data: Path, out: Path) -> list[Path]:
     return written
 
 
-def _read_record(path: Path, name: str) -> Log:
+def read_pulses(data: Path) -> Array:
+    """Return the pulses (rows,) that the authors added to the drive input of the test record."""
+    return _read_columns(data / "emps" / RECORDS["test"], ("pulses_N",))[0]
+
+
+def read_record(data: Path, name: str) -> Log:
+    """Return a record, "train" or "test", as a log."""
+    t_s, position_m, drive_v = _read_columns(data / "emps" / RECORDS[name], ("t", "qm", "vir"))
+    return Log(name, t_s, {"axis/command": drive_v, "axis/position_m": position_m})
+
+
+def _read_columns(path: Path, keys: tuple[str, ...]) -> list[Array]:
     if not path.is_file():
         raise InputError(
             f"{path}: not found; fetch it with tools/fetch-data, or name its folder with --data"
         )
     try:
-        record = scipy.io.loadmat(path, variable_names=["t", "qm", "vir"])
-        t_s, position_m, drive_v = (
-            record[key].ravel().astype(np.float64) for key in ("t", "qm", "vir")
-        )
+        record = scipy.io.loadmat(path, variable_names=keys)
+        columns = [record[key].ravel().astype(np.float64) for key in keys]
     except (ValueError, TypeError, KeyError) as error:
         raise InputError(f"{path}: not the EMPS record: {error}") from None
-    if not len(t_s) == len(position_m) == len(drive_v):
-        raise InputError(f"{path}: not the EMPS record: t, qm and vir differ in length")
-    return Log(name, t_s, {"axis/command": drive_v, "axis/position_m": position_m})
+    if len({len(column) for column in columns}) > 1:
+        raise InputError(f"{path}: not the EMPS record: {', '.join(keys)} differ in length")
+    return columns
