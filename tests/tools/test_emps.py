@@ -17,7 +17,8 @@ def records(tmp_path):
     folder.mkdir(parents=True)
     t_s = np.arange(5)[:, None] / 1000
     for scale, file in enumerate(RECORDS.values(), 1):
-        scipy.io.savemat(folder / file, {"t": t_s, "qm": scale * t_s, "vir": scale + t_s})
+        columns = {"t": t_s, "qm": scale * t_s, "vir": scale + t_s, "gtau": 35.1507}
+        scipy.io.savemat(folder / file, columns)
     return folder.parent
 
 
@@ -59,6 +60,23 @@ def test_a_file_that_is_no_record_is_named(records, tmp_path):
 def test_a_record_without_its_variables_is_named(records, tmp_path):
     scipy.io.savemat(records / "emps" / "DATA_EMPS.mat", {"t": np.arange(5)})
     with pytest.raises(InputError, match="not the EMPS record: 'qm'"):
+        import_emps(records, tmp_path / "out")
+
+
+@pytest.mark.parametrize(
+    ("column", "factor", "said"),
+    [
+        ("t", 1000.0, "rows are 1 s apart, not 0.001 s"),
+        ("qm", 1000.0, "qm exceeds 0.5 m"),
+        ("vir", 35.1507, "vir exceeds 10 V"),
+        ("gtau", 0.005, "gtau is 0.175754 N/V, not 35.1507"),
+    ],
+)
+def test_a_record_in_other_units_is_refused(column, factor, said, records, tmp_path):
+    path = records / "emps" / "DATA_EMPS.mat"
+    record = {key: scipy.io.loadmat(path)[key] for key in ("t", "qm", "vir", "gtau")}
+    scipy.io.savemat(path, record | {column: factor * record[column]})
+    with pytest.raises(InputError, match=said):
         import_emps(records, tmp_path / "out")
 
 

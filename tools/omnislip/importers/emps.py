@@ -23,12 +23,14 @@ from omnislip.model_file import Model, write_model
 Array = npt.NDArray[np.float64]
 
 RECORDS = {"train": "DATA_EMPS.mat", "test": "DATA_EMPS_PULSES.mat"}
+# What the units of the files are known by.
+ROW_S, GAIN_N_V, MOST_DRIVE_V, STROKE_M = 1e-3, 35.1507, 10.0, 0.5
 BELIEVED = Model(
     kind="axis",
     name="emps",
     values={
         "axis.mass_kg": 95.1,
-        "axis.input_gain_n_v": 35.1507,
+        "axis.input_gain_n_v": GAIN_N_V,
         "axis.viscous_friction_n_s_m": 203.5,
     },
     tolerance={"default": 0.05},
@@ -58,7 +60,18 @@ def read_pulses(data: Path) -> Array:
 
 def read_record(data: Path, name: str) -> Log:
     """Return a record, "train" or "test", as a log."""
-    t_s, position_m, drive_v = _read_columns(data / "emps" / RECORDS[name], ("t", "qm", "vir"))
+    path = data / "emps" / RECORDS[name]
+    t_s, position_m, drive_v = _read_columns(path, ("t", "qm", "vir"))
+    gain_n_v = float(_read_columns(path, ("gtau",))[0][0])
+    step_s = float(np.median(np.diff(t_s)))
+    for quantity, fits in (
+        (f"rows are {step_s:.4g} s apart, not {ROW_S} s", abs(step_s - ROW_S) < 0.01 * ROW_S),
+        (f"gtau is {gain_n_v:.6g} N/V, not {GAIN_N_V}", abs(gain_n_v - GAIN_N_V) < 1e-3),
+        (f"vir exceeds {MOST_DRIVE_V:g} V", np.abs(drive_v).max() <= MOST_DRIVE_V),
+        (f"qm exceeds {STROKE_M:g} m", np.abs(position_m).max() <= STROKE_M),
+    ):
+        if not fits:
+            raise InputError(f"{path}: not the EMPS record: {quantity}")
     return Log(name, t_s, {"axis/command": drive_v, "axis/position_m": position_m})
 
 
