@@ -35,6 +35,7 @@ from omnislip.importers.bam import (
     read_records,
     servo_duty,
 )
+from omnislip.importers.emps import ROW_S as EMPS_ROW_S
 from omnislip.importers.emps import import_emps, read_pulses, read_record
 from omnislip.importers.optiodom import OMNI4, import_optiodom
 from omnislip.log_file import Log, read_log, write_log
@@ -50,7 +51,6 @@ WHOLE_RUN_S = 1e9
 STEP_S = 1e-3
 NOMINAL_V = 7.4
 SATURATED = 0.99
-EMPS_ROW_S = 1e-3
 BANDS_HZ = (15, 25, 40, 70, 100, 150, 200)
 SEEN_HZ = 100.0
 """Up to where the records of EMPS are not low-passed."""
@@ -368,9 +368,10 @@ def _emps_extra(findings: Findings, data: Path) -> list[str]:
         "fitted to the train record, improves that record and the force of both, but run freely "
         "over the test record it is worse than the symmetric model with an offset.",
         "",
-        "**What is left, and where.** The force error grows from train to test, which the authors "
-        "put down to a flexibility excited by the pulses. The pulses themselves show what it is: "
-        "acceleration measured against acceleration modelled, by cross spectra with the pulses.",
+        "**What is left, and where.** With the pulses of the test record the error of the force, "
+        "and in the authors' simulation that of the acceleration, grows, which they put down to a "
+        "flexibility. The pulses themselves show what it is: acceleration measured against "
+        "acceleration modelled, by cross spectra with the pulses.",
         "",
         "| Hz | moved mass / model's | dead time | coherence with the pulses |",
         "|---|---|---|---|",
@@ -390,7 +391,8 @@ def _emps_extra(findings: Findings, data: Path) -> list[str]:
         "column `late`. What the workflow saw of it in the record it fitted, which hardly excites "
         "what is faster than 15 Hz: "
         + _gains(findings, "actuation_delay", "shaft_compliance")
-        + " Replays of one second show neither.",
+        + " Replays of one second show neither. A spring named in less of the data (table below) "
+        "stands for this dead time.",
         "",
     ]
     return lines
@@ -406,10 +408,12 @@ def _with_sharp_friction(machine: Machine) -> Array:
 
 def _gains(findings: Findings, *effects: str) -> str:
     """Say what each effect gained in each step, and what became of it."""
+    taken = {True: " (taken)", False: " (taken, later dropped)"}
     told = [
         f"{effect} "
         + ", ".join(
-            f"{t.evidence.gain:.0f} in step {t.step}" + (" (taken)" if t.accepted else "")
+            f"{t.evidence.gain:.0f} in step {t.step}"
+            + (taken[effect in _named(findings)] if t.accepted else "")
             for t in findings.outcome.trials
             if t.candidate.name == effect
         )
