@@ -1,10 +1,12 @@
 """What is missing on an axis: named right, the simplest wins, and nothing is found in nothing."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from axis_bench import Bench, make_machine, make_runs, silent
 from omnislip.gap.machine import Machine
-from omnislip.gap.search import search
+from omnislip.gap.search import search, stability_of
 from omnislip.model_file import Effect, read_model, write_model
 from scipy.stats import binom
 
@@ -47,6 +49,22 @@ def test_the_hidden_effect_is_the_only_one_named(outcomes, name):
     outcome = outcomes[name]
     assert names(outcome) == [name]
     assert outcome.leftover == ()
+
+
+@pytest.mark.parametrize("name", HIDDEN)
+def test_a_clear_name_holds_in_nearly_every_resample_of_the_runs(outcomes, name):
+    [selected] = outcomes[name].selected
+    assert selected.stability > 0.95
+
+
+def test_a_name_that_one_run_of_eight_gives_is_lost_where_that_run_is_not_drawn(outcomes):
+    """A rival is worse by 100 in the first run and better by 10 in each of the others."""
+    data, final = outcomes["coulomb_friction"].data, outcomes["coulomb_friction"].final
+    runs = data.per_run(final.residual)
+    shift = [100.0] + [-10.0] * 7
+    moved = [r * np.sqrt(1.0 + s / np.sum(r**2)) for r, s in zip(runs, shift, strict=True)]
+    rival = replace(final, residual=np.concatenate(moved))
+    assert stability_of(data, final, [rival]) == pytest.approx(1 - (7 / 8) ** 8, abs=0.05)
 
 
 @pytest.mark.parametrize("name", HIDDEN)

@@ -11,8 +11,8 @@ chi-squared with 3 degrees of freedom where nothing happened. A missing effect r
 so an impact has to stand out from the run's own level and to explain most of the error around it.
 
 The linear jump is right for a tap. A hard push makes wheels slide, so the size is fitted again with
-the plant itself: free-running from the state before the push, for the horizon, over a grid of times
-between the two rows. Against the plant's own replay without a push it has to gain and to explain as
+the plant itself: free-running from a state before the push, over a grid of times in the rows up to
+it. Against the plant's own replay without a push it has to gain and to explain as
 much: where wheels break loose the linear response feigns pushes that the plant does without. Then
 the log is cut: what follows sees the pieces before and after.
 """
@@ -52,10 +52,12 @@ MOST_MISFIT = 9.0
 """A jump that leaves errors three times their standard deviation is not what happened."""
 APART_S = 0.3
 REPLAY_STEP_S = 1e-3
+TIMES, SPAN_S, LEAST_ROWS = 12, 0.024, 2
+"""How many times of a push are tried, over that span or so many rows up to the likeliest row."""
 CUT_S = 0.05
 """Left out after a push: the contact of the pusher."""
 LEAST_PIECE_S = 1.0
-VELOCITY = slice(8, 11)
+VELOCITY, HEADING = slice(8, 11), 13
 PROBE = np.array([0.05, 0.05, 0.1])
 # Of the filtered state before a push: shaft speeds, encoder angles, body velocity, pose.
 STATE_VARIANCE = np.array([0.25] * 4 + [1e-6] * 4 + [1e-4, 1e-4, 1e-4, 1e-6, 1e-6, 1e-6])
@@ -70,10 +72,12 @@ class Impact:
     impulse: Array
     """(x N s, y N s, theta N m s), world frame"""
     deviation: Array
+    time_deviation_s: float = 0.0
     misfit: float = 0.0
     """Mean square error after the push, in its standard deviations."""
     gain: float = np.inf
-    """By how much the push lowers the squared errors of the plant's own replay, and the share."""
+    """By how much the push lowers the squared errors of the plant's own replay, and the share of
+    what is beyond chance."""
     explained: float = 1.0
 
     def jump_m_s(self, machine: Machine) -> float:
@@ -101,9 +105,8 @@ def find_impacts(
         for peak in _peaks(run.t_s, ratio, max(LEAST_RATIO, OVER_LEVEL * level)):
             if explained[peak] >= EXPLAINED:
                 row = pushes.likeliest_row(peak)
-                filtered = track.state.reshape(len(run.t_s), -1)[row - 1]
-                before = filtered[: machine.engine.states]
-                impact = _size_up(machine, run, row, values, noise, before, jump[row])
+                filtered = track.state.reshape(len(run.t_s), -1)
+                impact = _size_up(machine, run, row, values, noise, filtered, jump[row])
                 least = max(LEAST_JUMP_M_S, _feigned_m_s(machine, run, row))
                 plausible = least <= impact.jump_m_s(machine) <= MOST_JUMP_M_S
                 confirmed = impact.gain >= LEAST_RATIO and impact.explained >= REPLAYED
@@ -158,82 +161,133 @@ def _size_up(
     row: int,
     values: Array,
     noise: Noise,
-    before: Array,
+    filtered: Array,
     jump: Array,
 ) -> Impact:
-    """Fit the jump with the plant, for the likeliest time between the two rows."""
-    afters = [
-        _After(machine, run, row, values, noise, before, share)
-        for share in (0.1, 0.3, 0.5, 0.7, 0.9)
-    ]
-    fits = [_fit_jump(after, jump) for after in afters]
-    quiet = min(float(np.sum(after.errors(np.zeros(3)) ** 2)) for after in afters)
-    cost, time_s, jump, covariance, readings = min(fits, key=lambda found: found[0])
+    """Fit the jump with the plant for times around the row, all judged by the same rows.
+
+    A light push leaves open to some milliseconds when it was, and at another time it would have
+    been of another size. Time and size are means over the times, weighted by their likelihood;
+    the deviations hold what the fit at one time leaves open and how the times differ. What the
+    same replay is off by just before, though not more than the filter expects, is chance that no
+    push has to explain.
+    """
+    window = _Window(machine, run, row, values, noise, filtered)
+    earlier = int(np.searchsorted(run.t_s, run.t_s[row] - HORIZON_S - SPAN_S))
+    before = _Window(machine, run, max(earlier, 1), values, noise, filtered)
+    chance = min(before.quiet / before.readings, 1.0) * window.readings
+    fits: list[_JumpFit] = []
+    for time_s in reversed(window.times_s):
+        fits.append(_fit_jump(window, time_s, fits[-1].jump if fits else jump))
+    least = min(fit.cost for fit in fits)
+    misfit = least / window.readings
+    spread = max(1.0, misfit)
+    weight = np.exp(-0.5 * (np.array([fit.cost for fit in fits]) - least) / spread)
+    weight /= np.sum(weight)
     mass = values[0] + values[machine.place("payload", "mass_kg", None)[0]]
     inertia = values[1] + values[machine.place("inertia_error", "inertia_kg_m2", None)[0]]
-    cos, sin = np.cos(before[13]), np.sin(before[13])
-    turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
-    to_world = np.diag([mass, mass, inertia]) @ turn
-    spread = covariance * max(1.0, cost)
-    deviation = np.sqrt(np.diag(to_world @ spread @ to_world.T))
-    gain = quiet - cost * readings
-    return Impact(run.name, time_s, to_world @ jump, deviation, cost, gain, gain / quiet)
+    maps = [np.diag([mass, mass, inertia]) @ window.to_world(fit.time_s) for fit in fits]
+    impulses = np.array([m @ fit.jump for m, fit in zip(maps, fits, strict=True)])
+    variances = [
+        np.diag(m @ (fit.covariance * spread) @ m.T) for m, fit in zip(maps, fits, strict=True)
+    ]
+    times = np.array([fit.time_s for fit in fits])
+    impulse, time_s = weight @ impulses, float(weight @ times)
+    deviation = np.sqrt(weight @ (np.array(variances) + (impulses - impulse) ** 2))
+    time_deviation = float(np.sqrt(weight @ (times - time_s) ** 2 + window.grid_s**2 / 12.0))
+    gain = window.quiet - least
+    explained = gain / max(window.quiet - chance, gain)
+    return Impact(run.name, time_s, impulse, deviation, time_deviation, misfit, gain, explained)
 
 
-class _After:
-    """The rows after a push, as whitened replay errors that depend on the jump."""
+@dataclass(frozen=True)
+class _JumpFit:
+    """The jump (m/s, m/s, rad/s; body frame) that fits best at one time; cost in variances."""
+
+    time_s: float
+    jump: Array
+    covariance: Array
+    cost: float
+
+
+class _Window:
+    """The rows around a push as whitened replay errors that depend on its time and jump.
+
+    The plant runs free from the filtered state before the earliest time of a push.
+    """
 
     def __init__(
-        self,
-        machine: Machine,
-        run: Run,
-        row: int,
-        values: Array,
-        noise: Noise,
-        before: Array,
-        share: float,
+        self, machine: Machine, run: Run, row: int, values: Array, noise: Noise, filtered: Array
     ) -> None:
+        earliest_s = min(run.t_s[row] - SPAN_S, run.t_s[max(row - LEAST_ROWS, 0)])
+        first = max(int(np.searchsorted(run.t_s, earliest_s, side="right")), 1)
         end = int(np.searchsorted(run.t_s, run.t_s[row] + HORIZON_S)) + 1
-        gone_s = share * float(run.t_s[row] - run.t_s[row - 1])
-        self.time_s = float(run.t_s[row - 1]) + gone_s
         self._machine, self._values = machine, values
-        self._t_s = np.concatenate([[self.time_s], run.t_s[row:end]])
-        self._command = np.ascontiguousarray(run.command[row - 1 : end])
-        blank = np.full((1, run.outputs.shape[1]), np.nan)
-        self._outputs = np.concatenate([blank, run.outputs[row:end]])
-        slope = machine.engine.derivatives(values, before[None], run.command[row - 1][None])[0]
-        self._state = before + gone_s * slope
         self._noise = replace(noise, initial=STATE_VARIANCE)
-        self.weight = self._weights()
+        self._t_s = run.t_s[first - 1 : end]
+        self._command = run.command[first - 1 : end]
+        self._outputs = run.outputs[first - 1 : end].copy()
+        self._outputs[0] = np.nan
+        start = filtered[first - 1][: machine.engine.states]
+        calm = machine.engine.recording(
+            self._t_s, np.ascontiguousarray(self._command), self._outputs, start
+        )
+        self._weight = 1.0 / np.sqrt(self._track(calm).replay_variance.reshape(self._outputs.shape))
+        self._calm = self._replayed(calm) * self._weight
+        edges_s = np.linspace(max(earliest_s, self._t_s[0]), run.t_s[row], TIMES + 1)
+        self.times_s = (0.5 * (edges_s[1:] + edges_s[:-1])).tolist()
+        self._states = self._free_run(start)
+        self.quiet = float(np.nansum(self._calm**2))
+        self.readings = max(np.count_nonzero(~np.isnan(self._outputs)), 1)
+        self.grid_s = float(edges_s[1] - edges_s[0])
 
-    def errors(self, jump: Array) -> Array:
+    def errors(self, time_s: float, jump: Array) -> Array:
         """Replay errors (rows * outputs,) in their standard deviations; 0 where not sampled."""
-        recording = self._recording(jump)
-        track = self._track(recording)
-        error = self._machine.engine.replays([recording], [track], self._values[None])[0][0]
-        return np.nan_to_num(error * self.weight).ravel()
-
-    def _recording(self, jump: Array) -> _core.Recording:
-        state = self._state.copy()
+        row = int(np.searchsorted(self._t_s, time_s, side="right")) - 1
+        state = self._states[time_s].copy()
         state[VELOCITY] += jump
-        return self._machine.engine.recording(self._t_s, self._command, self._outputs, state)
+        blank = np.full((1, self._outputs.shape[1]), np.nan)
+        recording = self._machine.engine.recording(
+            np.concatenate([[time_s], self._t_s[row + 1 :]]),
+            np.ascontiguousarray(self._command[row:]),
+            np.concatenate([blank, self._outputs[row + 1 :]]),
+            state,
+        )
+        after = self._replayed(recording)[1:] * self._weight[row + 1 :]
+        return np.nan_to_num(np.concatenate([self._calm[: row + 1], after])).ravel()
+
+    def to_world(self, time_s: float) -> Array:
+        """Return the rotation from the body to the world at a time."""
+        heading_rad = self._states[time_s][HEADING]
+        cos, sin = np.cos(heading_rad), np.sin(heading_rad)
+        return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+
+    def _free_run(self, start: Array) -> dict[float, Array]:
+        """Return the states at the times to try, without a push."""
+        t_s = np.union1d(self._t_s, self.times_s)
+        row = np.searchsorted(self._t_s, t_s, side="right") - 1
+        recording = self._machine.engine.recording(
+            t_s, self._command[row], np.full((len(t_s), self._outputs.shape[1]), np.nan), start
+        )
+        states = self._track(recording).state.reshape(len(t_s), -1)
+        at = np.searchsorted(t_s, self.times_s)
+        return dict(zip(self.times_s, states[at, : self._machine.engine.states], strict=True))
+
+    def _replayed(self, recording: _core.Recording) -> Array:
+        track = self._track(recording)
+        return self._machine.engine.replays([recording], [track], self._values[None])[0][0]
 
     def _track(self, recording: _core.Recording) -> _core.Track:
         return track_recordings(
             self._machine, [recording], self._values, self._noise, REPLAY_STEP_S
         )[0]
 
-    def _weights(self) -> Array:
-        variance = self._track(self._recording(np.zeros(3))).replay_variance
-        return 1.0 / np.sqrt(variance.reshape(self._outputs.shape))
 
-
-def _fit_jump(after: _After, jump: Array) -> tuple[float, float, Array, Array, int]:
-    """Gauss-Newton; returns mean square error, time, jump, covariance, number of readings."""
-    found = least_squares(after.errors, jump, x_scale=PROBE, diff_step=1e-3, max_nfev=15)
-    readings = max(np.count_nonzero(found.fun), 1)
-    covariance = np.linalg.pinv(found.jac.T @ found.jac)
-    return 2.0 * found.cost / readings, after.time_s, found.x, covariance, readings
+def _fit_jump(window: _Window, time_s: float, jump: Array) -> _JumpFit:
+    found = least_squares(
+        lambda j: window.errors(time_s, j), jump, x_scale=PROBE, diff_step=1e-3, max_nfev=15
+    )
+    return _JumpFit(time_s, found.x, np.linalg.pinv(found.jac.T @ found.jac), 2.0 * found.cost)
 
 
 class _Pushes:

@@ -56,6 +56,8 @@ FEW_RUNS = (
     f"With fewer than {RUNS_TO_HOLD_OUT_WHOLE} logs the choice was checked on parts of the runs "
     "that were fitted: a name may change with more."
 )
+STABLE = 0.9
+"""Share of resamples of the runs in which a name has to hold."""
 UNKNOWN_SHARE = 0.03
 """A leftover term that gains more than this share of the named effects makes the verdict unknown:
 the names are right in place perhaps, but wrong in shape."""
@@ -199,6 +201,7 @@ def find_gap(
     shares = predictable_shares(machine, fitted, outcome.data.noise, after, refit)
     verdict = _verdict(outcome, table, bool(wiring or impacts), shares)
     cautions = [FEW_RUNS] if outcome.selected and split.how not in WHOLE_RUNS else []
+    cautions += [_unstable(one) for one in outcome.selected if one.stability < STABLE]
     unknown = None
     if verdict == "unknown_effect":
         progress("describing what is missing")
@@ -232,6 +235,13 @@ def find_gap(
         unknown,
         shares,
         cautions,
+    )
+
+
+def _unstable(one: Selected) -> str:
+    return (
+        f"{one.candidate.name} is the best name in only {100 * one.stability:.0f} % of resamples "
+        "of the runs: a name may change with more."
     )
 
 
@@ -587,7 +597,12 @@ def _wiring_json(effect: Effect) -> dict[str, Any]:
 
 
 def _impact_json(impact: Impact) -> dict[str, Any]:
-    time_s = {"value": impact.time_s, "low": impact.time_s, "high": impact.time_s}
+    half_s = CONFIDENCE * impact.time_deviation_s
+    time_s = {
+        "value": impact.time_s,
+        "low": impact.time_s - half_s,
+        "high": impact.time_s + half_s,
+    }
     sizes = {
         key: {"value": v, "low": v - CONFIDENCE * d, "high": v + CONFIDENCE * d}
         for key, v, d in zip(
@@ -628,6 +643,7 @@ def _effect_json(findings: Findings, selected: Selected) -> dict[str, Any]:
             "gain": evidence.gain,
             "inflation": evidence.inflation,
             "p_value": evidence.p_value,
+            "stability": selected.stability if np.isfinite(selected.stability) else None,
         },
     }
 

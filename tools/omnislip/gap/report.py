@@ -159,6 +159,7 @@ def _effects(findings: Findings, numbers: Json) -> list[Json]:
             "entry": GATE_TEXTS[effect.name],
             "sizes": [],
             "rivals": [],
+            "stability": None,
             "manoeuvre": None,
         }
         for effect in findings.wiring
@@ -172,6 +173,7 @@ def _effects(findings: Findings, numbers: Json) -> list[Json]:
                 for name, size in found["parameters"].items()
             ],
             "rivals": [],
+            "stability": None,
             "manoeuvre": None,
         }
         for impact, found in zip(
@@ -188,6 +190,7 @@ def _effects(findings: Findings, numbers: Json) -> list[Json]:
                 for name, size in effect["parameters"].items()
             ],
             "rivals": [(rival, _summary(machine, rival)) for rival in effect["ambiguous_with"]],
+            "stability": effect["evidence"]["stability"],
             "manoeuvre": effect["separating_manoeuvre"],
         }
         for selected, effect in zip(findings.outcome.selected, known, strict=True)

@@ -68,6 +68,7 @@ HOPEFUL_GAIN = 200.0
 """Gain beyond chance of a refused effect that no chance gives: something is there, though not alone
 under this name. From there it is worth looking one step ahead."""
 BEAM, BEAM_REFITS = 3, 6
+RESAMPLES, LEAST_RUNS_TO_RESAMPLE = 1000, 4
 PATCH_SCALES = (0.3, 0.5, 0.7, 0.9)
 
 
@@ -86,12 +87,17 @@ class Trial:
 
 @dataclass(frozen=True)
 class Selected:
-    """One effect of the final model with its evidence and the rivals that do as well."""
+    """One effect of the final model with its evidence and the rivals that do as well.
+
+    `stability` is the share of resamples of the runs in which none of the others explains more,
+    nor none at all; NaN with too few runs to resample.
+    """
 
     candidate: Candidate
     values: Array
     evidence: Evidence
     rivals: tuple[str, ...]
+    stability: float
 
 
 @dataclass(frozen=True)
@@ -320,20 +326,24 @@ def _possible_amounts(machine: Machine, candidate: Candidate) -> tuple[Array, Ar
 
 
 def _starting_sizes(machine: Machine, screened: Screened) -> list[Array]:
-    """Sizes to start a fit from: hardly there, and the linear estimate up to typical and beyond."""
+    """Sizes to start a fit from: hardly there, the linear estimate up to typical and beyond.
+
+    And more than that estimate: play or a dead zone of half the size explains nothing of what the
+    other half does.
+    """
     candidate = screened.candidate
     shapes = {i: float(v) for i, v in enumerate(screened.start) if i not in candidate.amplitudes}
     low = np.array([p.low for p in candidate.parameters])
     high = np.array([p.high for p in candidate.parameters])
     margin = np.array([0.01 * p.scale for p in candidate.parameters])
     starts = []
-    for most in (0.02, 1.0, 5.0):
+    for share, most in ((1.0, 0.02), (1.0, 1.0), (1.0, 5.0), (2.5, 5.0)):
         sizes = _neutral(candidate, machine, shapes)
         for index in candidate.amplitudes:
             if not np.isfinite(sizes[index]):
                 sizes[index] = screened.start[index]
                 continue
-            amount = float(np.clip(screened.start[index], -most, most))
+            amount = float(np.clip(share * screened.start[index], -most, most))
             sizes[index] = sizes[index] + _reach(candidate, machine, index) * amount
         starts.append(np.clip(sizes, low + margin, high - margin))
     return starts
@@ -700,19 +710,35 @@ def _compare_rivals(
         evidence = weigh(data, without.objective, final, index)
         rivals = _rivals_of(final, effect, neighbours)
         nearest = screen(data, without, rivals)[:RIVALS] if rivals else []
-        equals = [
-            one.candidate.name
-            for one, fitted in zip(nearest, _refit(data, without, nearest), strict=True)
-            if (fitted.objective - final.objective) / evidence.inflation < RIVAL_MARGIN
-        ]
+        tried = _refit(data, without, nearest)
+        lost = [(one.objective - final.objective) / evidence.inflation for one in tried]
+        close = [loss < RIVAL_MARGIN for loss in lost]
+        equals = [n.candidate.name for n, near in zip(nearest, close, strict=True) if near]
+        losers = [one for one, near in zip(tried, close, strict=True) if not near]
         values = final.hypothesis.values_of(index).copy()
         for i, p in enumerate(effect.parameters):
             if p.label == PHASE:
                 values[i] = _half_turn(values[i])
-        selected.append(Selected(effect, values, evidence, tuple(equals)))
+        stability = stability_of(data, final, [without, *losers])
+        selected.append(Selected(effect, values, evidence, tuple(equals), stability))
     return tuple(
         sorted(selected, key=lambda s: (s.candidate.effect == "contact_shape", -s.evidence.gain))
     )
+
+
+def stability_of(data: Data, final: Fit, others: Sequence[Fit]) -> float:
+    """Return in which share of resamples of the runs `final` explains as much as all others.
+
+    The fits stay as they are and only the runs are drawn anew (resampling of estimated log
+    likelihoods: Kishino, Miyata and Hasegawa, J. Mol. Evol. 1990).
+    """
+    runs = len(data.runs)
+    if runs < LEAST_RUNS_TO_RESAMPLE:
+        return float("nan")
+    squares = [[np.sum(r**2) for r in data.per_run(one.residual)] for one in [final, *others]]
+    lead = np.array(squares[1:]) - squares[0]
+    draws = np.random.default_rng(0).multinomial(runs, np.full(runs, 1.0 / runs), RESAMPLES)
+    return float(np.mean(np.all(draws @ lead.T > -EQUAL, axis=1)))
 
 
 def _limit(machine: Machine, screened: Screened) -> dict[str, float]:
