@@ -43,6 +43,7 @@ def row(kind="single", hidden=("payload",), named=("payload",), **changed):
         "set_size": [1] * len(named),
         "sizes": [],
         "impacts": None,
+        "chance": 1.0,
         "time_s": 1.0,
         "lambda": 100.0 if kind in ("single", "double") else None,
         "gap_closed": 0.9,
@@ -58,7 +59,7 @@ def row(kind="single", hidden=("payload",), named=("payload",), **changed):
 def failed(**changed):
     """Row of a case that raised an exception."""
     nothing = dict.fromkeys(METHOD_COLUMNS) | {"gap_closed": None, "gap_closed_oracle": None}
-    wrong = {"first": False, "exact": False, "lambda": None, "time_s": None}
+    wrong = {"first": False, "exact": False, "chance": None, "lambda": None, "time_s": None}
     return row(named=(), verdict="failed", error="ValueError: x") | nothing | wrong | changed
 
 

@@ -74,11 +74,11 @@ def findings_of(machine, verdict, effects=(), rivals=()):
     fit = Fit(hypothesis, 1.0, np.zeros(1), np.zeros((1, 1)))
     refused = next(c for c in machine.candidates() if c not in effects)
     trials = [
-        Trial(step, e, sizes_of(e), evidence_of(e), 12.5, "explains more", True)
+        Trial(step, e, sizes_of(e), evidence_of(e), 1e-9, 12.5, "explains more", True)
         for step, e in enumerate(effects, 1)
     ]
     trials.append(
-        Trial(1, refused, sizes_of(refused), evidence_of(refused), -1.0, "could be chance", False)
+        Trial(1, refused, sizes_of(refused), evidence_of(refused), 0.4, -1.0, "chance", False)
     )
     selected = tuple(Selected(e, sizes_of(e), evidence_of(e), tuple(rivals), 0.97) for e in effects)
     limits = {"viscous_friction_error": {"viscous_friction_nm_s": 1.25e-6}}

@@ -172,8 +172,22 @@ def _solve_in(folder: Path, task: Task) -> dict[str, Any]:
     found["inputs_sha256"] = {Path(p).name: mark for p, mark in found["inputs_sha256"].items()}
     (folder / "gap.json").write_bytes(_json(found))
     row = score(truth, found) | _about(task) | {"time_s": seconds}
+    row["chance"] = _least_chance(findings)
     oracle, seen = _ask_oracle(findings, truth)
     return row | seen | _ask_others(findings, truth, oracle)
+
+
+def _least_chance(findings: Findings) -> float | None:
+    """Return the least bound of chance in the step that ended the search; None without one.
+
+    Where nothing more is missing it should fall below 0.01 in no more than one case of a hundred.
+    """
+    if findings.outcome is None:
+        return None
+    trials = findings.outcome.trials
+    last = [trial for trial in trials if trial.step == max(t.step for t in trials)]
+    refused = [] if any(trial.accepted for trial in last) else last
+    return min((trial.chance for trial in refused), default=1.0)
 
 
 def _about(task: Task) -> dict[str, Any]:
@@ -190,7 +204,7 @@ def _failed(task: Task, error: Exception) -> dict[str, Any]:
     row = score(truth | {key: asdict(case)[key] for key in keys}, found) | _about(task)
     reason = str(error).strip().splitlines()[-1:]
     row |= {"error": ": ".join([type(error).__name__, *reason]), "time_s": None}
-    row |= {"first": False, "exact": False}
+    row |= {"first": False, "exact": False, "chance": None}
     row |= {"wheel": False if any(e["wheel"] is not None for e in hidden) else None}
     return row | NOT_SEEN | dict.fromkeys(METHOD_COLUMNS)
 

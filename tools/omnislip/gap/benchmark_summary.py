@@ -62,6 +62,7 @@ def summary(rows: Sequence[Row]) -> dict[str, Numbers]:
     pushes = [r["impacts"] for r in of["impact"] if r["impacts"]]
     in_time = [n < p["in_time"] for p in pushes for n in range(p["hidden"])]
     misnamed = [r["verdict"] in ("effect_found", FAILED) and not r["first"] for r in of["unknown"]]
+    complete = [r for r in rows if r["exact"] and r["chance"] is not None]
     return {
         "failed": share([_failed(r) for r in rows]),
         "single: first name right": share([r["first"] for r in seen["single"]]),
@@ -70,6 +71,9 @@ def summary(rows: Sequence[Row]) -> dict[str, Numbers]:
         "size error, median": _median([s["error"] for s in sizes]),
         "interval holds the size": share([s["inside"] for s in sizes]),
         "null: false alarm": share([not r["exact"] for r in of["null"]]),
+        "right set: chance below 0.01 in the last step": share(
+            [r["chance"] < 0.01 for r in complete]
+        ),
         "double: both found": share([all(r["recall"]) for r in seen["double"]]),
         "double: exact set": share([r["exact"] for r in seen["double"]]),
         "unknown: flagged": share([r["verdict"] == "unknown_effect" for r in of["unknown"]]),

@@ -74,12 +74,16 @@ PATCH_SCALES = (0.3, 0.5, 0.7, 0.9)
 
 @dataclass(frozen=True)
 class Trial:
-    """A candidate as it was tried in one step, and why it was taken or not."""
+    """A candidate as it was tried in one step, and why it was taken or not.
+
+    `chance` bounds the probability that anything of all that is tried gains as much by chance.
+    """
 
     step: int
     candidate: Candidate
     values: Array
     evidence: Evidence
+    chance: float
     validation_gain: float
     reason: str
     accepted: bool
@@ -420,7 +424,8 @@ def _try(
         gains = _validation_gains(checks, current.hypothesis, fitted.hypothesis)
         values = fitted.hypothesis.values_of(len(current.hypothesis.effects))
         absent = _neutral(candidate, data.machine, {})
-        reason, passed = _verdict(evidence, gains, tried, gained)
+        chance = min(1.0, evidence.p_value * tried)
+        reason, passed = _verdict(evidence, chance, gains, gained)
         if passed and not _differs(candidate, values - absent, evidence):
             reason, passed = "its size cannot be told from none beside the other parameters", False
         if passed and not _replays_better(checks, current.hypothesis, fitted.hypothesis):
@@ -434,7 +439,8 @@ def _try(
         if passed and taken:
             reason, passed = f"explains less than {taken.candidate.name}", False
         gain = float(np.sum(gains))
-        found.append((Trial(step, candidate, values, evidence, gain, reason, passed), fitted))
+        trial = Trial(step, candidate, values, evidence, chance, gain, reason, passed)
+        found.append((trial, fitted))
     return found
 
 
@@ -553,8 +559,7 @@ def _replays_better(checks: Data, without: Hypothesis, with_effect: Hypothesis) 
     return improvement(replay_all(checks.machine, checks.runs, checks.noise, sets)) > 0
 
 
-def _verdict(evidence: Evidence, gains: Array, tried: int, gained: float) -> tuple[str, bool]:
-    chance = min(1.0, evidence.p_value * tried)
+def _verdict(evidence: Evidence, chance: float, gains: Array, gained: float) -> tuple[str, bool]:
     if chance >= ALPHA:
         return f"could be chance (p = {chance:.2g} over everything tried)", False
     if np.sum(gains) <= 0:
