@@ -20,6 +20,7 @@ from axis_bench import (
 )
 from omnislip.gap.inference import (
     Data,
+    Fit,
     Hypothesis,
     at_bound,
     fit,
@@ -54,15 +55,15 @@ def without_effects(machine):
 def estimate(machine, log, effect, start):
     """Fit and evidence of one effect on one log with known noise."""
     data = Data(machine, [make_run(machine, log)], true_noise(), machine.believed)
-    believed = fit(data, without_effects(machine)) if machine.base_parameters() else None
+    if machine.base_parameters():
+        believed = fit(data, without_effects(machine))
+    else:
+        residual = data.residuals(machine.believed[None])[0]
+        square = float(residual @ residual)
+        believed = Fit(without_effects(machine), square, residual, np.zeros((len(residual), 0)))
     with_effect = without_effects(machine).with_effect(candidate(machine, effect), [start])
     fitted = fit(data, with_effect)
-    before = (
-        believed.objective
-        if believed
-        else float(np.sum(data.residuals(machine.believed[None]) ** 2))
-    )
-    return fitted, weigh(data, before, fitted, 0)
+    return fitted, weigh(data, believed, fitted, 0)
 
 
 def scores(machine, bench, effect, start, truth):

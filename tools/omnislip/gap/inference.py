@@ -43,6 +43,9 @@ SECANT = 0.05
 DIVERGED = 1e3
 """Whitened residual of a model with which the frozen predictor is not stable."""
 CONVERGED = 0.05
+LEAST_INFORMATION = 1e-6
+SINGLE_BLOCK = 2.0
+"""Blocks that make an inflation, below which one of them is most of it."""
 WORTH_A_ROUND = 2.0
 """Gain of Q below which a quick fit ends."""
 
@@ -357,7 +360,12 @@ def _shared_step(
 
 
 def _solve_within(gram: Array, slope: Array, low: Array, high: Array) -> Array:
-    """Least-squares step within bounds from the normal matrix (columns are few)."""
+    """Least-squares step within bounds from the normal matrix (columns are few).
+
+    What nothing depends on, the edge of a patch that no run crosses, stays where it is.
+    """
+    seen = np.diag(gram) > LEAST_INFORMATION
+    low, high = np.where(seen, low, 0.0), np.where(seen, high, 0.0)
     ridge = 1e-9 * np.trace(gram) / len(gram)
     factor = np.linalg.cholesky(gram + ridge * np.eye(len(gram))).T
     target = np.linalg.solve(factor.T, -slope)
@@ -379,19 +387,41 @@ class Evidence:
     covariance: Array
 
 
-def weigh(data: Data, without: float, with_effect: Fit, index: int) -> Evidence:
-    """Judge effect number `index` of a fit against the objective of the model `without` it."""
+def weigh(data: Data, without: Fit, with_effect: Fit, index: int) -> Evidence:
+    """Judge effect number `index` of a fit against the fitted model `without` it.
+
+    The edges of a patch are left out of the inflation: the few rows where they are crossed say
+    where the patch is, not whether. Where a single block of all makes the inflation (wheels that
+    spin out once, a little too late in the model), what the other blocks say without it may
+    suffice; they are then one of so many choices of blocks.
+    """
     hypothesis = with_effect.hypothesis
+    effect = hypothesis.effects[index]
     first = len(hypothesis.base) + sum(len(e.parameters) for e in hypothesis.effects[:index])
-    own = list(range(first, first + len(hypothesis.effects[index].parameters)))
+    own = list(range(first, first + len(effect.parameters)))
     score, information = _projected(with_effect, own)
-    inflation, blocks = scatter_of(data, score, with_effect.residual, information)
-    gain = without - with_effect.objective
     scale = np.array([hypothesis.parameters[i].scale for i in own])
-    covariance = np.linalg.pinv(information) * np.outer(scale, scale) * inflation
-    known_from = blocks * inflation / max(inflation - 1.0, 1e-6)
-    p_value = float(f_distribution.sf(max(gain, 0.0) / inflation / len(own), len(own), known_from))
-    return Evidence(gain, inflation, p_value, covariance)
+    tested = score, information
+    if effect.edges_m:
+        tested = _projected(with_effect, [first + i for i in effect.amplitudes])
+    scatter = scatter_of(data, tested[0], with_effect.residual, tested[1])
+    gain = without.objective - with_effect.objective
+    p_value = _chance(gain, scatter, len(own))
+    if scatter.blocks < SINGLE_BLOCK:
+        others = data.blocks != scatter.worst
+        squares = without.residual**2 - with_effect.residual**2
+        rest = scatter_of(data, tested[0] * others[:, None], with_effect.residual, tested[1])
+        chance = _chance(gain - float(np.sum(squares[~others])), rest, len(own))
+        p_value = min(p_value, chance * (int(data.blocks[-1]) + 1))
+    covariance = np.linalg.pinv(information) * np.outer(scale, scale) * scatter.inflation
+    return Evidence(gain, scatter.inflation, p_value, covariance)
+
+
+def _chance(gain: float, scatter: "Scatter", parameters: int) -> float:
+    """Return the p-value of the F-test."""
+    inflation = scatter.inflation
+    known_from = scatter.blocks * inflation / max(inflation - 1.0, 1e-6)
+    return float(f_distribution.sf(max(gain, 0.0) / inflation / parameters, parameters, known_from))
 
 
 @dataclass(frozen=True)
@@ -444,16 +474,23 @@ def at_bound(fitted: Fit, index: int) -> bool:
 
 def inflation_of(data: Data, score: Array, residual: Array, information: Array) -> float:
     """Return c: how much the block sums of a score vary beyond what white residuals would."""
-    return scatter_of(data, score, residual, information)[0]
+    return scatter_of(data, score, residual, information).inflation
 
 
-def scatter_of(
-    data: Data, score: Array, residual: Array, information: Array
-) -> tuple[float, float]:
-    """Return c of `inflation_of` and from how many blocks it is known.
+@dataclass(frozen=True)
+class Scatter:
+    """How the block sums of a score vary: c, from how many blocks it is known, the worst of them.
 
     That number is (sum q)^2 / sum q^2 of the blocks' squares q: one if a single block makes c.
     """
+
+    inflation: float
+    blocks: float
+    worst: int
+
+
+def scatter_of(data: Data, score: Array, residual: Array, information: Array) -> Scatter:
+    """Measure the scatter of a score (m, k) with its `information` (k, k)."""
     blocks = data.blocks
     sums = np.stack(
         [np.bincount(blocks, score[:, k] * residual) for k in range(score.shape[1])], axis=1
@@ -462,9 +499,9 @@ def scatter_of(
     sizes, axes = np.linalg.eigh(information)
     seen = sizes > 1e-9 * max(sizes[-1], 1e-300)
     if not seen.any():
-        return 1.0, float(len(sums))
+        return Scatter(1.0, float(len(sums)), 0)
     root = axes[:, seen] / np.sqrt(sizes[seen])
     squares = np.sum((sums @ root) ** 2, axis=1)
-    blocks = np.sum(squares) ** 2 / max(float(np.sum(squares**2)), 1e-300)
+    known_from = np.sum(squares) ** 2 / max(float(np.sum(squares**2)), 1e-300)
     inflation = float(np.max(np.linalg.eigvalsh(root.T @ spread @ root)))
-    return max(1.0, inflation), max(1.0, float(blocks))
+    return Scatter(max(1.0, inflation), max(1.0, float(known_from)), int(np.argmax(squares)))

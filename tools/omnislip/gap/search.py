@@ -70,6 +70,8 @@ under this name. From there it is worth looking one step ahead."""
 BEAM, BEAM_REFITS = 3, 6
 RESAMPLES, LEAST_RUNS_TO_RESAMPLE = 1000, 4
 PATCH_SCALES = (0.3, 0.5, 0.7, 0.9)
+EDGE_HALVINGS, EDGE_STEPS = 3, np.array([-1.0, 1.0])
+"""An edge moves over a grid, then by halves, quarters and eighths of its spacing."""
 
 
 @dataclass(frozen=True)
@@ -159,8 +161,10 @@ def search(
         accepted = next((fitted for trial, fitted in found if trial.accepted), None)
         if accepted is None and len(current.hypothesis.effects) + 2 <= MOST_EFFECTS:
             ahead = _Ahead(data, checks, current, candidates, step, tried, gained, progress)
-            accepted = ahead.best_pair(found)
+            pair = ahead.best_pair(found)
             trials += ahead.trials
+            if pair is not None:
+                data, current, accepted = pair.data, pair.without, pair.fitted
         if accepted is None:
             break
         gain = current.objective - accepted.objective
@@ -390,16 +394,36 @@ def _edges_moved(data: Data, current: Fit, start: Hypothesis) -> Hypothesis:
     candidate = start.effects[-1]
     if not candidate.edges_m:
         return start
+    spacing_m = candidate.edges_m[1] - candidate.edges_m[0]
+    everywhere = np.array(candidate.edges_m)
     for edge in (0, 1, 0, 1):
-        offered = [start]
-        for place in candidate.edges_m:
-            for scale in PATCH_SCALES:
-                sizes = start.values_of(len(start.effects) - 1).copy()
-                sizes[edge], sizes[2] = place, scale
-                if sizes[0] < sizes[1]:
-                    offered.append(current.hypothesis.with_effect(candidate, sizes))
-        start = offered[int(np.argmin(costs_refitted(data, current, offered)))]
+        start = _edge_moved(data, current, start, edge, everywhere)
+        for level in range(1, EDGE_HALVINGS + 1):
+            near = start.values_of(len(start.effects) - 1)[edge] + spacing_m * EDGE_STEPS / 2**level
+            start = _edge_moved(data, current, start, edge, near)
     return start
+
+
+def _edge_moved(
+    data: Data, current: Fit, start: Hypothesis, edge: int, places_m: Array
+) -> Hypothesis:
+    """Move one edge of the patch to the best of the places.
+
+    Where no run shows which of some places it is, to the narrowest patch: it claims the least.
+    """
+    candidate, now = start.effects[-1], start.values_of(len(start.effects) - 1)
+    offered = [start]
+    for place_m in places_m:
+        for scale in (*PATCH_SCALES, now[2]):
+            sizes = now.copy()
+            sizes[edge] = place_m
+            sizes[2] = scale
+            if sizes[0] < sizes[1]:
+                offered.append(current.hypothesis.with_effect(candidate, sizes))
+    costs = costs_refitted(data, current, offered)
+    widths = np.array([np.ptp(one.values_of(len(one.effects) - 1)[:2]) for one in offered])
+    equal = np.flatnonzero(costs < costs.min() + EQUAL)
+    return offered[int(equal[np.argmin(widths[equal])])]
 
 
 def _try(
@@ -417,7 +441,7 @@ def _try(
     results = []
     index = len(current.hypothesis.effects)
     for one, fitted in zip(screened, _refit(data, current, screened), strict=True):
-        results.append((one.candidate, fitted, weigh(data, current.objective, fitted, index)))
+        results.append((one.candidate, fitted, weigh(data, current, fitted, index)))
     results = _simplest_first(results)
     found: list[tuple[Trial, Fit]] = []
     for candidate, fitted, evidence in results:
@@ -444,8 +468,20 @@ def _try(
     return found
 
 
+@dataclass(frozen=True)
+class _Pair:
+    """A model with two more effects, and that without them, by the noise that fits the first."""
+
+    data: Data
+    without: Fit
+    fitted: Fit
+
+
 class _Ahead:
-    """One step further where none was taken: two defects may each be refused without the other."""
+    """One step further where none was taken: two defects may each be refused without the other.
+
+    The noise is tuned again with the first of them: noise that covers both hides the second.
+    """
 
     def __init__(
         self,
@@ -463,7 +499,7 @@ class _Ahead:
         self._gained, self._progress = gained, progress
         self.trials: list[Trial] = []
 
-    def best_pair(self, refused: Sequence[tuple[Trial, Fit]]) -> Fit | None:
+    def best_pair(self, refused: Sequence[tuple[Trial, Fit]]) -> _Pair | None:
         """Return the best model with two more effects, the first one of `refused`, or None."""
         hopeful = [
             (trial, fitted)
@@ -471,34 +507,46 @@ class _Ahead:
             if trial.evidence.gain / trial.evidence.inflation > HOPEFUL_GAIN
         ]
         hopeful = sorted(hopeful, key=lambda pair: pair[1].objective)[:BEAM]
-        pairs = [self._pair(trial.candidate, fitted) for trial, fitted in hopeful]
-        passed = [pair for pair in pairs if pair is not None]
-        return min(passed, key=lambda pair: pair.objective, default=None)
+        passed = [pair for trial, one in hopeful for pair in self._pairs(trial.candidate, one)]
+        return min(passed, key=lambda pair: pair.fitted.objective, default=None)
 
-    def _pair(self, candidate: Candidate, fitted: Fit) -> Fit | None:
-        data, checks, base = self._data, self._checks, self._current.hypothesis
-        first = fit(data, fitted.hypothesis)
+    def _pairs(self, candidate: Candidate, fitted: Fit) -> list[_Pair]:
+        """Return the models with this effect and a second one that pass.
+
+        The second is judged only when both are fitted: a patch in the floor, say, lies somewhere
+        else beside the right friction curve.
+        """
+        machine, noise = self._data.machine, self._data.noise
+        self._progress(f"step {self._step}: looking ahead from {candidate.name}")
+        data, first = settle(machine, self._data.runs, fitted.hypothesis, noise)
+        flat = first.hypothesis.flat(machine.believed)
+        checks = Data(machine, self._checks.runs, data.noise, flat)
         others = [c for c in self._candidates if c.name != candidate.name]
         worth = [s for s in screen(data, first, others)[:BEAM_REFITS] if s.promise > LEAST_PROMISE]
-        tried = self._tried * BEAM
-        self._progress(f"step {self._step}: looking ahead from {candidate.name}")
+        tried = self._tried * BEAM * BEAM
         found = _try(data, checks, first, worth, self._step, tried, self._gained, self._progress)
         self.trials += [trial for trial, _ in found]
-        second = next((fitted for trial, fitted in found if trial.accepted), None)
-        if second is None:
-            return None
-        pair = _patch_again(data, fit(data, second.hypothesis))
-        gains = _validation_gains(checks, base, pair.hypothesis)
-        if np.sum(gains) <= 0 or not helps_most(gains):
-            return None
-        if not _replays_better(checks, base, pair.hypothesis):
-            return None
-        count = len(base.effects)
-        for index in (count, count + 1):
-            without = fit(data, pair.hypothesis.without(index))
-            if weigh(data, without.objective, pair, index).p_value * tried >= ALPHA:
-                return None
-        return pair
+        found.sort(key=lambda pair: -pair[0].evidence.gain / pair[0].evidence.inflation)
+        without = fit(data, self._current.hypothesis)
+        pairs = [
+            _Pair(data, without, _patch_again(data, fit(data, second.hypothesis)))
+            for _, second in found[:BEAM]
+        ]
+        return [pair for pair in pairs if _both_pass(pair, checks, tried)]
+
+
+def _both_pass(pair: _Pair, checks: Data, tried: int) -> bool:
+    """Whether two effects together help runs that were not fitted, and none of them is chance."""
+    base, both = pair.without.hypothesis, pair.fitted.hypothesis
+    gains = _validation_gains(checks, base, both)
+    if np.sum(gains) <= 0 or not helps_most(gains) or not _replays_better(checks, base, both):
+        return False
+    count = len(base.effects)
+    for index in (count, count + 1):
+        alone = fit(pair.data, both.without(index))
+        if weigh(pair.data, alone, pair.fitted, index).p_value * tried >= ALPHA:
+            return False
+    return True
 
 
 def _patch_again(data: Data, fitted: Fit) -> Fit:
@@ -618,7 +666,7 @@ def _extend(machine: Machine, data: Data, fitted: Fit) -> Fit:
             ordered = replace(fitted, hypothesis=fitted.hypothesis.moved_last(place))
             ordered = fit(data, ordered.hypothesis, iterations=1)
             refined = fit(data, _refit(data, ordered, [one])[0].hypothesis)
-            if weigh(data, ordered.objective, refined, index).p_value < ALPHA:
+            if weigh(data, ordered, refined, index).p_value < ALPHA:
                 joined = refined.hypothesis.last_two_joined()
                 fitted = replace(refined, hypothesis=joined)
     return fitted
@@ -635,7 +683,7 @@ def _drop_needless(data: Data, fitted: Fit, tried: int) -> Fit:
             fit(data, fitted.hypothesis.without(index))
             for index in range(len(fitted.hypothesis.effects))
         ]
-        judged = [weigh(data, w.objective, fitted, index) for index, w in enumerate(without)]
+        judged = [weigh(data, w, fitted, index) for index, w in enumerate(without)]
         most = max(one.gain for one in judged)
         needless = [
             index
@@ -663,7 +711,7 @@ def _swap(
         rivals = _rivals_of(fitted, effect, neighbours)
         nearest = screen(data, without, rivals)[:RIVALS] if rivals else []
         tried = _refit(data, without, nearest)
-        judged = weigh(data, without.objective, fitted, index)
+        judged = weigh(data, without, fitted, index)
         better = [one for one in tried if _takes_its_place(data, without, effect, judged, one)]
         if better:
             best = min(better, key=lambda one: one.objective)
@@ -682,7 +730,7 @@ def _takes_its_place(
 ) -> bool:
     """Whether a rival explains clearly more than an effect, or loses only what chance gives."""
     own = len(without.hypothesis.effects)
-    evidence = weigh(data, without.objective, rival, own)
+    evidence = weigh(data, without, rival, own)
     spared = len(effect.parameters) - len(rival.hypothesis.effects[own].parameters)
     if spared > 0 and _no_more_than_chance(judged.gain - evidence.gain, judged.inflation, spared):
         return True
@@ -712,7 +760,7 @@ def _compare_rivals(
     for index, effect in enumerate(final.hypothesis.effects):
         progress(f"comparing {effect.name} with its rivals")
         without = fit(data, final.hypothesis.without(index))
-        evidence = weigh(data, without.objective, final, index)
+        evidence = weigh(data, without, final, index)
         rivals = _rivals_of(final, effect, neighbours)
         nearest = screen(data, without, rivals)[:RIVALS] if rivals else []
         tried = _refit(data, without, nearest)
