@@ -78,7 +78,7 @@ def findings_of(machine, verdict, effects=(), rivals=()):
         for step, e in enumerate(effects, 1)
     ]
     trials.append(
-        Trial(1, refused, sizes_of(refused), evidence_of(refused), 0.4, -1.0, "chance", False)
+        Trial(1, refused, sizes_of(refused), evidence_of(refused), 0.4, -1.0, "too weak", False)
     )
     selected = tuple(Selected(e, sizes_of(e), evidence_of(e), tuple(rivals), 0.97) for e in effects)
     limits = {"viscous_friction_error": {"viscous_friction_nm_s": 1.25e-6}}
@@ -333,7 +333,7 @@ def test_rivals_make_the_name_uncertain(machines):
 def test_each_trial_says_why(found_html):
     names = ("supply_sag", "state_of_charge_drift")
     trials = [row for row in Page(found_html).rows if row[0] in names]
-    assert [row[-1] for row in trials] == ["taken: explains more", "not taken: could be chance"]
+    assert [row[-1] for row in trials] == ["taken: explains more", "not taken: too weak"]
     assert trials[0][1:4] == ["431", "2.50", "1.30 × 10⁻⁷"]
 
 

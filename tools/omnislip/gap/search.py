@@ -570,15 +570,30 @@ def _simplest_first(
     """
     if not results:
         return []
-    results = sorted(results, key=lambda r: -r[2].gain)
-    equals = [r for r in results if results[0][2].gain - r[2].gain < EQUAL]
-    best = min(equals, key=lambda r: (len(r[0].parameters), r[0].places))
+    results = _equals_in_order(results)
+    best = results[0]
     for rival in results[1:]:
         spared = len(best[0].parameters) - len(rival[0].parameters)
         lost = best[2].gain - rival[2].gain
         if spared > 0 and _no_more_than_chance(lost, best[2].inflation, spared):
             best = rival
     return [best, *(r for r in results if r is not best)]
+
+
+def _equals_in_order(
+    results: Sequence[tuple[Candidate, Fit, Evidence]],
+) -> list[tuple[Candidate, Fit, Evidence]]:
+    """Sort by gain; of equal gains the fewer parameters first, then the catalogue's order.
+
+    Also behind the first: it may be refused, and the next one is taken.
+    """
+    left = sorted(results, key=lambda r: -r[2].gain)
+    ordered = []
+    while left:
+        equals = [r for r in left if left[0][2].gain - r[2].gain < EQUAL]
+        ordered += sorted(equals, key=lambda r: (len(r[0].parameters), r[0].places))
+        left = left[len(equals) :]
+    return ordered
 
 
 def _no_more_than_chance(gain: float, inflation: float, parameters: int) -> bool:
