@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 from axis_bench import Bench, make_machine, make_runs, silent
+from omnislip.gap.inference import Data, fit
+from omnislip.gap.leftover import find_shapes
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import tune_noise
 from omnislip.gap.recordings import Run
-from omnislip.gap.search import search
+from omnislip.gap.search import believed_hypothesis, search
 from omnislip.gap.truth import TruthCase
 from omnislip.gap.truth_effects import typical_effect
 from omnislip.gap.where import ROBOT_EQUATIONS, Map, describe, map_gap
@@ -122,3 +124,30 @@ def test_the_weak_motor_is_found_at_its_wheel():
     found = map_gap(machine, runs, noise, machine.believed, true)
     assert describe(runs, found)[0].channel == "wheel/3/torque"
     assert found.shares[EQUATIONS.index("wheel/3/torque")] > 0.5
+
+
+LOOKS = {
+    "coulomb_friction": ({}, "every wheel/torque: direction of rotation"),
+    "cogging": ({}, "sine of 9 times the shaft angle"),
+    "floor_slope": ({"y_m_s2": 0.0}, "world/force_x: constant"),
+}
+
+
+@pytest.mark.parametrize("name", LOOKS)
+def test_what_the_gap_looks_like_tells_parity_order_and_frame(name):
+    """Friction is odd in the speed, cogging has an order of the shaft, a slope is the world's."""
+    changed, looks = LOOKS[name]
+    machine = Machine(read_model(NOMINAL_ROBOT))
+    hidden = typical_effect(name, None).as_dict()
+    hidden["parameters"] |= changed
+    case = TruthCase(6, (hidden,), runs=4, run_duration_s=3.0, base_offset_sd=0.0)
+    runs = runs_of(machine, case)
+    true = machine.believed.copy()
+    for label, value in hidden["parameters"].items():
+        true[list(machine.place(name, label, None))] = value
+    noise = tune_noise(machine, runs, true)
+    start = believed_hypothesis(machine)
+    data = Data(machine, runs, noise, machine.believed)
+    shapes = find_shapes(data, data, fit(data, start))
+    strongest = max(shapes, key=lambda shape: shape.gain)
+    assert looks in f"{strongest.equation}: {strongest.dependence}"

@@ -15,8 +15,9 @@ from omnislip.errors import InputError
 from omnislip.files import write_text
 from omnislip.gap.events import Impact, as_effect, find_impacts, known_pushes, pieces
 from omnislip.gap.gates import check, logged_set_points, too_poor
-from omnislip.gap.inference import prior_penalty
+from omnislip.gap.inference import Data, fit, prior_penalty
 from omnislip.gap.inverse import relative_force_error
+from omnislip.gap.leftover import Leftover, find_shapes
 from omnislip.gap.machine import EXTENSIONS, Machine
 from omnislip.gap.metrics import (
     REPEATED,
@@ -122,6 +123,8 @@ class Findings:
     """How much of what the filter takes for chance other runs predict, by equation."""
     cautions: list[str] = field(default_factory=list)
     """Why the names are less certain than they look, in sentences."""
+    shapes: list[Leftover] = field(default_factory=list)
+    """What the gap looks like in the refitted model: nameless terms, each tried alone."""
 
 
 def find_gap(
@@ -197,6 +200,7 @@ def find_gap(
         machine, fitted, outcome.data.noise, refit, after if outcome.selected else None
     )
     places = describe(fitted, gap_map) if outcome.selected else []
+    shapes = _shapes(machine, split, outcome)
     progress("asking whether what is left is chance")
     shares = predictable_shares(machine, fitted, outcome.data.noise, after, refit)
     verdict = _verdict(outcome, table, bool(wiring or impacts), shares)
@@ -235,7 +239,16 @@ def find_gap(
         unknown,
         shares,
         cautions,
+        shapes,
     )
+
+
+def _shapes(machine: Machine, split: Split, outcome: Outcome) -> list[Leftover]:
+    """Describe the gap of the refitted model, by the noise of the final one."""
+    start = outcome.ladder[0].hypothesis
+    flat, noise = start.flat(machine.believed), outcome.data.noise
+    data = Data(machine, [*split.fitting, *split.validation], noise, flat)
+    return find_shapes(data, Data(machine, split.validation, noise, flat), fit(data, start))
 
 
 def _unstable(one: Selected) -> str:
@@ -548,6 +561,10 @@ def to_json(findings: Findings) -> dict[str, Any]:
                 "validation_gain": u.validation_gain,
             }
             for u in (outcome.leftover if outcome else ())
+        ],
+        "looks_like": [
+            {"equation": s.equation, "dependence": s.dependence, "gain": s.gain}
+            for s in findings.shapes
         ],
         "cautions": findings.cautions,
         "predictable": [asdict(one) for one in findings.predictable],

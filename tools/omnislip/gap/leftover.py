@@ -27,6 +27,8 @@ Array = npt.NDArray[np.float64]
 P_VALUE = 1e-6
 """Over all terms. To say that no known effect is the cause takes more than to name one."""
 VALIDATION_SHARE = 0.75
+MOST_SHAPES = 5
+SHAFT_ORDERS = range(2, 13)
 SLOW_RAD_S = 2.0
 GYRO = 4
 
@@ -93,7 +95,45 @@ def dictionary(machine: Machine) -> list[Term]:
 
 def find_leftover(data: Data, checks: Data, fitted: Fit) -> list[Leftover]:
     """Return the terms that pass, strongest first. `checks` are runs that were not fitted."""
-    terms = dictionary(data.machine)
+    return _passing(data, checks, fitted, dictionary(data.machine))
+
+
+def find_shapes(data: Data, checks: Data, refit: Fit) -> list[Leftover]:
+    """Return what the gap of a model without its effects looks like: the best term per equation.
+
+    To see, not to judge: terms that tell parity, order of the shaft, frame and null space apart.
+    """
+    best: dict[str, Leftover] = {}
+    terms = [*dictionary(data.machine), *_patterns(data.machine)]
+    for found in _passing(data, checks, refit, terms):
+        best.setdefault(found.equation, found)
+    return list(best.values())[:MOST_SHAPES]
+
+
+def _patterns(machine: Machine) -> list[Term]:
+    """Return terms that no verdict needs: higher orders of the shaft, wheels against each other."""
+    if machine.kind != "robot":
+        return []
+    orders = [
+        Term(f"wheel/{i + 1}/torque", f"{name} of {order} times the shaft angle", (i,), shape)
+        for i in range(4)
+        for order in SHAFT_ORDERS
+        for name, shape in _order_shapes(order).items()
+    ]
+    return orders + [
+        Term("null space of the wheels/torque", name, (0, 1, 2, 3), shape)
+        for name, shape in NULL_SPACE_SHAPES.items()
+    ]
+
+
+def _order_shapes(order: int) -> dict[str, Callable[..., Array]]:
+    return {
+        "sine": lambda x, d, t, i: np.sin(order * x[:, 4 + i]),
+        "cosine": lambda x, d, t, i: np.cos(order * x[:, 4 + i]),
+    }
+
+
+def _passing(data: Data, checks: Data, fitted: Fit, terms: Sequence[Term]) -> list[Leftover]:
     values = fitted.hypothesis.flat(data.believed)
     columns = _responses(data, values, terms)
     check_columns = _responses(checks, values, terms)
@@ -178,6 +218,16 @@ SHAFT_SHAPES: dict[str, Callable[..., Array]] = {
     ),
     "time and command": lambda x, d, t, i: t * d[:, i],
     "time and speed": lambda x, d, t, i: t * x[:, i],
+}
+
+NULL_SPACE = np.array([1.0, -1.0, 1.0, -1.0])
+"""Speeds of the wheels that move no body (model: V1 - V2 + V3 - V4 = 0)."""
+NULL_SPACE_SHAPES: dict[str, Callable[..., Array]] = {
+    "constant": lambda x, d, t, i: np.full(len(x), NULL_SPACE[i]),
+    "wheels that turn against each other": lambda x, d, t, i: (
+        NULL_SPACE[i] * (x[:, :4] @ NULL_SPACE)
+    ),
+    "commands against each other": lambda x, d, t, i: NULL_SPACE[i] * (d @ NULL_SPACE),
 }
 
 ANGLE_SHAPES: dict[str, Callable[..., Array]] = {
