@@ -5,6 +5,7 @@
 #include <cmath>
 #include <limits>
 #include <stdexcept>
+#include <string>
 
 #include "axis_plant.h"
 #include "closed_loop.h"
@@ -25,7 +26,7 @@ constexpr int kMeasurements = 200, kRepetitions = 1000;
 /* Least nanoseconds per call of `work`, which runs the state x on: x is looked at in the end, lest
  * the compiler leave the work out. */
 template <class Work>
-double least_ns(const double *x, Work &&work) {
+double least_ns(const char *model, const double *x, Work &&work) {
     using Clock = std::chrono::steady_clock;
     double least = kUnbounded;
     for (int i = 0; i < kMeasurements; ++i) {
@@ -36,7 +37,7 @@ double least_ns(const double *x, Work &&work) {
         least = std::min(least, spent.count() / kRepetitions);
     }
     if (!std::isfinite(x[0]))
-        throw std::runtime_error("a model ran away while its step was measured");
+        throw std::runtime_error(std::string(model) + " ran away while its step was measured");
     return least;
 }
 
@@ -81,7 +82,8 @@ double rigid_step_ns(const std::vector<double> &values) {
     const double voltage_v[4] = {4.8, -2.4, 7.2, 2.4};
     double x[RigidModel::kStates] = {};
     RigidInternals in;
-    return least_ns(x, [&] { advance(rigid, x, voltage_v, 0.0, kStep_s, kStep_s, 0.0, in); });
+    return least_ns("rigid model", x,
+                    [&] { advance(rigid, x, voltage_v, 0.0, kStep_s, kStep_s, 0.0, in); });
 }
 
 double slip_step_ns(const std::vector<double> &values) {
@@ -90,8 +92,9 @@ double slip_step_ns(const std::vector<double> &values) {
     const DutyHistory duties = {&time_s, duty, 0};
     double x[RobotLayout::kAll] = {};
     RobotInternals<double> in = {};
-    return least_ns(
-        x, [&] { motion->advance(x, duties, time_s, kStep_s, kStep_s, Rule::kRk4, false, in); });
+    return least_ns("slip model", x, [&] {
+        motion->advance(x, duties, time_s, kStep_s, kStep_s, Rule::kRk4, false, in);
+    });
 }
 
 double axis_step_ns() {
@@ -108,7 +111,7 @@ double axis_step_ns() {
     const double rate_1_s = plant.fastest_rate_1_s();
     double x[Plant::kAll] = {};
     AxisInternals<double> in = {};
-    return least_ns(x,
+    return least_ns("axis", x,
                     [&] { advance(plant, x, commands, time_s, kStep_s, kStep_s, rate_1_s, in); });
 }
 
@@ -128,7 +131,8 @@ double odometry_step_ns() {
     const ShownCommands<double> commands(plant, &time_s, rates_rad_s, 0, 1);
     double x[Plant::kAll] = {};
     OdometryInternals in;
-    return least_ns(x, [&] { advance(plant, x, commands, time_s, kStep_s, kStep_s, 0.0, in); });
+    return least_ns("odometry", x,
+                    [&] { advance(plant, x, commands, time_s, kStep_s, kStep_s, 0.0, in); });
 }
 
 double firmware_tick_ns(const std::vector<std::int32_t> &firmware) {
@@ -139,7 +143,7 @@ double firmware_tick_ns(const std::vector<std::int32_t> &firmware) {
     control_loop_init(&loop, &settings);
     control_loop_tick(&loop); /* BOOT -> IDLE */
     control_loop_arm(&loop);
-    const double spent_ns = least_ns(shafts.turned(), [&] {
+    const double spent_ns = least_ns("firmware", shafts.turned(), [&] {
         control_loop_command_velocity(&loop, 500, 300, 1000);
         control_loop_tick(&loop);
     });
