@@ -71,6 +71,7 @@ def summary(rows: Sequence[Row]) -> dict[str, Numbers]:
         "size error, median": _median([s["error"] for s in sizes]),
         "interval holds the size": share([s["inside"] for s in sizes]),
         "null: false alarm": share([not r["exact"] for r in of["null"]]),
+        "null: called unknown": share([r["verdict"] == "unknown_effect" for r in of["null"]]),
         "right set: chance below 0.01 in the last step": share(
             [r["chance"] < 0.01 for r in complete]
         ),
