@@ -11,14 +11,17 @@ import pandas as pd
 import pytest
 from axis_bench import Bench, make_log, model_text, silent
 from omnislip.gap import find
-from omnislip.gap.find import find_gap, split_runs, to_json, write_results
+from omnislip.gap.find import find_gap, split_runs, to_json, weak_names, write_results
+from omnislip.gap.inference import Evidence
 from omnislip.gap.machine import Machine
+from omnislip.gap.search import Selected
 from omnislip.gap.truth import TruthCase, write_case
 from omnislip.gap.truth_effects import typical_effect
 from omnislip.log_file import Log, write_log
-from omnislip.model_file import read_model
+from omnislip.model_file import NOMINAL_ROBOT, read_model
 
 AXIS_BENCH = Bench(coulomb_n=2.0)
+ROBOT = Machine(read_model(NOMINAL_ROBOT))
 
 
 def robot_case(folder, *effects, drop=(), **case):
@@ -30,6 +33,19 @@ def robot_case(folder, *effects, drop=(), **case):
         frame = pd.read_csv(path)
         frame[[c for c in frame.columns if not c.startswith(tuple(drop))]].to_csv(path, index=False)
     return folder / "robot.toml", logs
+
+
+def selected(name, gain):
+    candidate = next(c for c in ROBOT.candidates() if c.effect == name)
+    return Selected(candidate, np.ones(1), Evidence(gain, 1.0, 0.0, np.eye(1)), (), 1.0)
+
+
+def test_a_name_that_a_shape_a_little_wrong_would_leave_carries_a_caution():
+    """5,000 of a million is the square of 7 %."""
+    known = [("coulomb_friction", 1e6), ("payload", 2e4), ("gyro_bias", 5e3)]
+    [caution] = weak_names([selected(name, gain) for name, gain in known])
+    assert caution.startswith("gyro_bias is weak: an error of 7 % in the shape of coulomb_friction")
+    assert weak_names([]) == []
 
 
 def axis_case(folder, bench=AXIS_BENCH, seeds=range(6), **believed):

@@ -59,6 +59,9 @@ FEW_RUNS = (
 )
 STABLE = 0.9
 """Share of resamples of the runs in which a name has to hold."""
+WEAK_SHARE = 1e-2
+"""Gain relative to that of the strongest effect below which a name carries a caution; below a tenth
+of this the search gives none."""
 UNKNOWN_SHARE = 0.03
 """A leftover term that gains more than this share of the named effects makes the verdict unknown:
 the names are right in place perhaps, but wrong in shape."""
@@ -207,6 +210,7 @@ def find_gap(
     verdict = _verdict(outcome, table, bool(wiring or impacts), shares)
     cautions = [FEW_RUNS] if outcome.selected and split.how not in WHOLE_RUNS else []
     cautions += [_unstable(one) for one in outcome.selected if one.stability < STABLE]
+    cautions += weak_names(outcome.selected)
     unknown = None
     if verdict == "unknown_effect":
         progress("describing what is missing")
@@ -257,6 +261,20 @@ def _unstable(one: Selected) -> str:
         f"{one.candidate.name} is the best name in only {100 * one.stability:.0f} % of resamples "
         "of the runs: a name may change with more."
     )
+
+
+def weak_names(selected: Sequence[Selected]) -> list[str]:
+    """Return a caution for each name that another one would leave if its shape were a bit wrong."""
+    if not selected:
+        return []
+    first = max(selected, key=lambda one: one.evidence.gain)
+    shares = [(one, one.evidence.gain / first.evidence.gain) for one in selected]
+    return [
+        f"{one.candidate.name} is weak: an error of {100 * share**0.5:.0f} % in the shape of "
+        f"{first.candidate.name} would leave as much."
+        for one, share in shares
+        if share < WEAK_SHARE
+    ]
 
 
 def _too_cut(split: Split) -> str:

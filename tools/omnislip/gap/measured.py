@@ -221,7 +221,7 @@ def _robustness(
         "The same with less (a name is a surprise where all data name another one and no rival, "
         "verdict or caution warns):",
         "",
-        "| data | verdict | named | cannot be told from | not found again | few logs | surprise |",
+        "| data | verdict | named | cannot be told from | not found again | caution | surprise |",
         "|---|---|---|---|---|---|---|",
         _names_row("all", everything, everything),
     ]
@@ -242,8 +242,8 @@ def _names_row(data: str, numbers: dict, everything: dict) -> str:
     told = {effect["name"] for effect in effects} | {rival.split(" ")[0] for rival in rivals}
     known = [e["name"] for e in everything["effects"] or everything["nearest"]]
     lost = dict.fromkeys(name for name in known if name not in told)
-    few = "caution" if numbers["cautions"] else ""
-    cells = (data, numbers["verdict"], *map(", ".join, (names, rivals, lost)), few)
+    caution = "yes" if numbers["cautions"] else ""
+    cells = (data, numbers["verdict"], *map(", ".join, (names, rivals, lost)), caution)
     return "| " + " | ".join((*cells, ", ".join(surprises(numbers, everything)))) + " |"
 
 
