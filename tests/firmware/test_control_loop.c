@@ -141,6 +141,66 @@ static void weak_supply_is_reported_as_the_limit(void) {
     TEST_ASSERT_EQUAL_UINT16(0, loop.telemetry.limit_wheel);
 }
 
+/* Signs of x and y; turning to the left with them, each wheel is the fastest and bears most once.
+ */
+static const i16 direction_of_wheel[4][2] = {{-1, 1}, {-1, -1}, {1, -1}, {1, 1}};
+
+static void expect_limit(control_limit limit, int wheel) {
+    TEST_ASSERT_EQUAL(limit, loop.telemetry.limit);
+    TEST_ASSERT_EQUAL_UINT16(wheel, loop.telemetry.limit_wheel);
+}
+
+static void limits_of_the_command_are_named_without_a_wheel(void) {
+    drive(3000, 0, 0, 100);
+    expect_limit(CONTROL_LIMIT_ACCELERATION, 0);
+    drive(3000, 0, 0, 1700);
+    expect_limit(CONTROL_LIMIT_SPEED, 0);
+}
+
+static void grip_that_limits_a_ramp_is_named_with_the_wheel(void) {
+    for (int i = 0; i < 4; i++) {
+        const i16 *sign = direction_of_wheel[i];
+        start(1);
+        parameters_set(&p, PARAMETER_ID_acceleration_limit_q10, 16000);
+        drive((i16)(1000 * sign[0]), (i16)(1000 * sign[1]), 1000, 10);
+        expect_limit(CONTROL_LIMIT_TRACTION, i + 1);
+    }
+}
+
+/* A camera's largest correction moves the believed pose by 0.25 mm and 0.5 mrad in a tick, of which
+ * the position control makes 1 m/s2 and 2.5 rad/s2: 17 N at the most loaded wheel, 14 N at the
+ * next one. */
+static void grip_that_limits_a_correction_is_named_with_the_wheel(void) {
+    static const odometry_pose goal = {0, 0, 0};
+    static const kinematics_velocity still = {0, 0, 0};
+    for (int i = 0; i < 4; i++) {
+        const i16 *sign = direction_of_wheel[i];
+        /* 64 mm, 128 mrad */
+        const odometry_pose seen = {-524288L * sign[0], -524288L * sign[1], -1048576L};
+        start(1);
+        parameters_set(&p, PARAMETER_ID_traction_limit_q8, 10 * 256);
+        control_loop_command_pose(&loop, &goal, &still);
+        reference_plant_tick(&plant, &loop);
+        expect_limit(CONTROL_LIMIT_NONE, 0);
+        control_loop_outside_pose(&loop, &seen, 0);
+        reference_plant_tick(&plant, &loop);
+        expect_limit(CONTROL_LIMIT_TRACTION, i + 1);
+    }
+}
+
+/* Bridges that give four fifths of what the fastest wheel needs; the others need half of it. */
+static void voltage_that_limits_is_named_with_the_wheel(void) {
+    for (int i = 0; i < 4; i++) {
+        const i16 *sign = direction_of_wheel[i];
+        start(1);
+        drive((i16)(500 * sign[0]), (i16)(300 * sign[1]), 1000, 600);
+        expect_limit(CONTROL_LIMIT_NONE, 0);
+        parameters_set(&p, PARAMETER_ID_duty_limit_q15, (i16)(0.8 * 32768.0 * plant.duty[i]));
+        reference_plant_tick(&plant, &loop);
+        expect_limit(CONTROL_LIMIT_VOLTAGE, i + 1);
+    }
+}
+
 static void supply_voltage_does_not_change_the_motion(void) {
     double at_24_v;
     drive(800, 0, 0, 1200);
@@ -181,6 +241,10 @@ int main(void) {
     RUN_TEST(robot_that_never_moved_has_no_duty);
     RUN_TEST(duty_command_reaches_the_bridges_up_to_its_limit);
     RUN_TEST(weak_supply_is_reported_as_the_limit);
+    RUN_TEST(limits_of_the_command_are_named_without_a_wheel);
+    RUN_TEST(grip_that_limits_a_ramp_is_named_with_the_wheel);
+    RUN_TEST(grip_that_limits_a_correction_is_named_with_the_wheel);
+    RUN_TEST(voltage_that_limits_is_named_with_the_wheel);
     RUN_TEST(supply_voltage_does_not_change_the_motion);
     RUN_TEST(a_supply_beyond_the_format_counts_as_its_end);
     RUN_TEST(rims_carry_slip_only_when_it_is_compensated);
