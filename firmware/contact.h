@@ -31,8 +31,9 @@ typedef struct {
 } contact_slip;
 
 contact_slip contact_slip_from_force(const parameters *p, i16 force_n_q8);
-/* Sum of the roller forces on the body; rollers point at the centre, so there is no torque. */
-kinematics_force contact_roller_force(const parameters *p, const kinematics_velocity *velocity);
+/* Sum of the roller forces on a body of this velocity; rollers point at the centre, so rotation
+ * does not turn them, and there is no torque. */
+kinematics_force contact_roller_force(const parameters *p, i16 x_m_s_q13, i16 y_m_s_q13);
 
 #ifdef __cplusplus
 }

@@ -315,12 +315,11 @@ static traction_change demand_velocity(control_loop *loop, odometry_heading head
     return world_to_body(heading, &loop->demand);
 }
 
-static kinematics_velocity rounded_velocity(const traction_change *body) {
-    kinematics_velocity velocity;
-    velocity.x_m_s_q13 = fixed_saturate_i16(fixed_shift_right(body->axis_q22[0], 9));
-    velocity.y_m_s_q13 = fixed_saturate_i16(fixed_shift_right(body->axis_q22[1], 9));
-    velocity.omega_rad_s_q11 = fixed_saturate_i16(fixed_shift_right(body->axis_q22[2], 11));
-    return velocity;
+static kinematics_force roller_force(const parameters *p, const traction_change *body) {
+    /* Q22 -> Q13 */
+    const i16 x_m_s_q13 = fixed_saturate_i16(fixed_shift_right(body->axis_q22[0], 9));
+    const i16 y_m_s_q13 = fixed_saturate_i16(fixed_shift_right(body->axis_q22[1], 9));
+    return contact_roller_force(p, x_m_s_q13, y_m_s_q13);
 }
 
 /* Row `wheel` of J, times the velocity. */
@@ -372,8 +371,7 @@ static i16 wheel_voltage_v_q9(control_loop *loop, u16 wheel, i32 hub_m_s_q22, i1
 static void drive_wheels(control_loop *loop, const traction_change *body,
                          const kinematics_force *inertia, i16 supply_v_q9) {
     const parameters *p = loop->settings;
-    const kinematics_velocity velocity = rounded_velocity(body);
-    const kinematics_force roller = contact_roller_force(p, &velocity);
+    const kinematics_force roller = roller_force(p, body);
     const i16 limit_v_q9 = fixed_multiply_q15(supply_v_q9, PARAMETER_GET(p, duty_limit_q15));
     /* 2^26 / Q9; below 2^15 because supply_minimum is above 4 V */
     const i16 inverse_supply_q17 = fixed_saturate_i16(fixed_divide(67108864L, (u16)supply_v_q9, 0));

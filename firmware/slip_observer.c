@@ -61,7 +61,7 @@ static void integrate(i32 *state, i32 change) {
 
 /* Step 3 of the header. */
 static void predict(slip_observer *observer, const parameters *p, const kinematics_velocity *v) {
-    const kinematics_force roller = contact_roller_force(p, v);
+    const kinematics_force roller = contact_roller_force(p, v->x_m_s_q13, v->y_m_s_q13);
     const i16 per_force_q25 = PARAMETER_GET(p, velocity_per_force_q25);
     kinematics_force drive;
     kinematics_body_force(p, observer->force_n_q8, &drive);

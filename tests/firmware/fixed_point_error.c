@@ -210,13 +210,14 @@ static void contact(void) {
         keep_largest(&slip, contact_slip_from_force(&p, force).slip_m_s_q13 / slope, exact / slope);
     }
     for (long n = 0; n < DRAWS; n++) {
-        const kinematics_velocity v = {draw(20000), draw(20000), 0};
-        const kinematics_force f = contact_roller_force(&p, &v);
+        const i16 vx = draw(20000);
+        const i16 vy = draw(20000);
+        const kinematics_force f = contact_roller_force(&p, vx, vy);
         double x = 0.0;
         for (int i = 0; i < 4; i++) {
             const double dx = real((parameter_id)(PARAMETER_ID_drive_x_1_q15 + i), 15);
             const double dy = real((parameter_id)(PARAMETER_ID_drive_y_1_q15 + i), 15);
-            const double hub_m_s = (dy * v.x_m_s_q13 - dx * v.y_m_s_q13) / 8192.0;
+            const double hub_m_s = (dy * vx - dx * vy) / 8192.0;
             x -= dy * real(PARAMETER_ID_roller_grip_q8, 8) * 2.0 / REFERENCE_PI *
                  atan(hub_m_s / per_tangent) * 64.0;
         }

@@ -199,13 +199,12 @@ static void slip_is_bounded_beyond_the_grip(void) {
 }
 
 static void rollers_brake_against_the_motion(void) {
-    const kinematics_velocity forward = {12288, 0, 0}, left = {0, 12288, 0};
     /* four rollers at +-30 degrees to x: 4 * 2.4525 N * (2/pi) atan(40 * cos 30 * 1.5) * cos 30 */
-    kinematics_force f = contact_roller_force(&p, &forward);
+    kinematics_force f = contact_roller_force(&p, 12288, 0);
     TEST_ASSERT_DOUBLE_WITHIN(0.05, -8.392, f.x_n_q6 / 64.0);
     TEST_ASSERT_INT16_WITHIN(1, 0, f.y_n_q6);
     /* the same with sin 30 */
-    f = contact_roller_force(&p, &left);
+    f = contact_roller_force(&p, 0, 12288);
     TEST_ASSERT_DOUBLE_WITHIN(0.05, -4.801, f.y_n_q6 / 64.0);
     TEST_ASSERT_INT16_WITHIN(1, 0, f.x_n_q6);
     TEST_ASSERT_EQUAL_INT16(0, f.torque_n_m_q8); /* they point at the centre */
