@@ -407,6 +407,15 @@ static void the_first_plan_surely_fits(void) {
     check_first_plan(8.0 / alpha + sqrt(6.0 * 1.5 / alpha), &turned, &turning, &turning_back);
 }
 
+/* 2 m/s when the limit is lowered to 0.5 m/s: the limit itself takes the place of
+ * 2 v_limit - max |v|, which would be negative. */
+static void a_limit_below_the_present_speed_gives_the_first_plan_its_time(void) {
+    const odometry_pose behind = {-5000L * 8192, 0, 0};
+    const kinematics_velocity away = {16384, 0, 0};
+    parameters_set(&p, PARAMETER_ID_speed_limit_q13, 4096);
+    check_first_plan(3.0 * 5.0 / 0.5, &behind, &away, &still);
+}
+
 /* The least that turns already, 0.5 to 4 mrad/s, must not cost time: as from rest, 1.43 s. */
 static void a_robot_that_hardly_turns_moves_as_fast_as_one_that_does_not(void) {
     const odometry_pose goal = {4096000, 0, 0};
@@ -641,6 +650,7 @@ int main(void) {
     RUN_TEST(long_move_takes_the_time_of_the_speed_limit);
     RUN_TEST(long_turn_takes_the_time_of_the_speed_limit);
     RUN_TEST(the_first_plan_surely_fits);
+    RUN_TEST(a_limit_below_the_present_speed_gives_the_first_plan_its_time);
     RUN_TEST(a_robot_that_hardly_turns_moves_as_fast_as_one_that_does_not);
     RUN_TEST(the_first_plan_of_a_turn_is_the_time_at_the_mean_speed);
     RUN_TEST(moves_from_rest_take_the_time_that_their_limits_need);

@@ -151,6 +151,15 @@ static void a_bridge_that_protects_itself_is_told_with_its_first_wheel(void) {
     }
 }
 
+/* What the fault line of a bridge without power shows means nothing, from the first tick on. */
+static void a_bridge_that_is_off_has_no_fault(void) {
+    plant.bridge_faults = 3;
+    control_loop_init(&loop, &p);
+    control_loop_tick(&loop);
+    TEST_ASSERT_EQUAL(SUPERVISOR_FAULT_NONE, loop.telemetry.fault);
+    TEST_ASSERT_EQUAL(SUPERVISOR_STATE_IDLE, loop.telemetry.state);
+}
+
 static void a_fault_of_a_wheel_is_told_with_its_number(void) {
     for (u16 wheel = 0; wheel < WHEEL_COUNT; wheel++) {
         start(1);
@@ -174,6 +183,7 @@ int main(void) {
     RUN_TEST(garbage_from_outside_keeps_the_duty_within_its_limit);
     RUN_TEST(any_allowed_parameters_keep_the_duty_within_its_limit);
     RUN_TEST(a_bridge_that_protects_itself_is_told_with_its_first_wheel);
+    RUN_TEST(a_bridge_that_is_off_has_no_fault);
     RUN_TEST(a_fault_of_a_wheel_is_told_with_its_number);
     return UNITY_END();
 }
