@@ -38,6 +38,7 @@ static void shifts_round_and_saturate(void) {
 }
 
 static void odd_shifts_round_halves_away_from_zero(void) {
+    TEST_ASSERT_EQUAL_INT32(-1, fixed_shift_right_odd(-1, 1));
     TEST_ASSERT_EQUAL_INT32(-2, fixed_shift_right_odd(-3, 1));
     TEST_ASSERT_EQUAL_INT32(-(1L << 30), fixed_shift_right_odd((i32)I32_MIN, 1));
     for (i32 value = 0; value < 64; value++) {

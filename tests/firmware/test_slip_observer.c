@@ -83,6 +83,17 @@ static void known_forces_accelerate_the_body(void) {
     TEST_ASSERT_INT16_WITHIN(8, 0, v.omega_rad_s_q11);
 }
 
+/* To the left they are 4 * 10.2 sqrt 3 / 2 N. */
+static void known_forces_accelerate_the_body_sideways(void) {
+    const i16 left[4] = {512, -512, -512, 512};
+    kinematics_velocity v;
+    run(left, nothing, 503);
+    v = slip_observer_velocity(&observer);
+    TEST_ASSERT_DOUBLE_WITHIN(0.005, 0.8833, v.y_m_s_q13 / 8192.0);
+    TEST_ASSERT_INT16_WITHIN(8, 0, v.x_m_s_q13);
+    TEST_ASSERT_INT16_WITHIN(8, 0, v.omega_rad_s_q11);
+}
+
 /* Turning forces of 2 * 10.2 N at 0.2 m per pair: 8.16 N m on 0.55 kg m2. */
 static void known_torque_turns_the_body(void) {
     const i16 turning[4] = {512, 512, 512, 512};
@@ -135,6 +146,7 @@ int main(void) {
     RUN_TEST(dry_friction_at_rest_is_not_the_floors);
     RUN_TEST(a_robot_at_rest_is_believed_at_rest_from_the_first_tick);
     RUN_TEST(known_forces_accelerate_the_body);
+    RUN_TEST(known_forces_accelerate_the_body_sideways);
     RUN_TEST(known_torque_turns_the_body);
     RUN_TEST(free_body_keeps_its_direction_in_the_world);
     RUN_TEST(correction_converges_with_the_gain);
