@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 from omnislip.firmware_figures import (
+    TUNED_GAINS,
     Case,
     all_cases,
     blow_rows,
@@ -13,6 +14,7 @@ from omnislip.firmware_figures import (
     step_rows,
     stopping_rows,
     tables,
+    tuning_rows,
 )
 
 
@@ -74,11 +76,21 @@ def test_file_holds_settings_and_every_figure(tmp_path):
     assert written == result
     assert written["schema"] == "omnislip-figures/1"
     assert written["parameters"]["speed_gain_q15"] > 0
-    assert {case.figure for case in all_cases()} == {"impulses", "odometry", "steps", "stopping"}
+    every = {"impulses", "odometry", "tuning", "steps", "stopping"}
+    assert {case.figure for case in all_cases()} == every
+
+
+@pytest.mark.parametrize("gain", TUNED_GAINS)
+def test_no_tuning_of_the_baseline_makes_up_for_what_it_does_not_see(gain):
+    """As tuned, the slip model leaves less than a third of the baseline's best over all factors."""
+    rows = tuning_rows(gain)
+    best = min(row["plain_remaining_mm"] for row in rows)
+    as_it_is = next(row for row in rows if row["factor"] == 1.0)
+    assert as_it_is["slip_remaining_mm"] < best / 3
 
 
 def test_tables_have_a_row_per_impulse(blows):
-    rows = {"impulses": blows, "odometry": [], "steps": [], "stopping": []}
+    rows = {"impulses": blows, "odometry": [], "tuning": [], "steps": [], "stopping": []}
     title, table = tables(rows | {"impulses": blows})[0]
     assert "blows" in title
     assert [row["impulse_n_s"] for row in table if np.isfinite(row["ratio_median"])] == [6.0]

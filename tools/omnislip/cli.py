@@ -198,7 +198,7 @@ def figures(
     out: Annotated[Path, typer.Option(help="Folder for figures.json.")],
     as_json: Json = False,
 ) -> None:
-    """Measure the firmware: impacts, odometry, step responses, stopping on low grip."""
+    """Measure the firmware: impacts, odometry, gains, step responses, stopping on low grip."""
     from omnislip.firmware_figures import all_cases, run_figures, tables
 
     _check_folder(out)

@@ -9,6 +9,8 @@ odometry   20 s of velocity commands that change every 0.4 to 0.9 s; distance be
 steps      body: 0 to 1 m/s along x. wheel 1: 0.15 m/s at the rim within 10 ms (the format's
            largest acceleration), with the body's inertia out of the feed-forward and no traction
            limit. Rise from 10 to 90 %, overshoot, within 2 % for good.
+tuning     the blows of 6 N s with one gain of both controllers at a time multiplied by a factor:
+           whether the baseline is tuned as well as it can be.
 stopping   from 1.5 m/s on a third of the grip, which the firmware knows, with no acceleration
            limit, with and without traction limit; the floor's friction falls by 40 % when a wheel
            slides, or does not.
@@ -40,6 +42,14 @@ IMPULSES_N_S = (2.0, 4.0, 6.0, 8.0, 10.0, 12.0, 15.0, 20.0)
 DIRECTIONS_DEG = tuple(range(0, 360, 45))
 AFTER_S = 1.5
 CONTROLLERS = {"plain": 0, "slip": 1}
+TUNED_GAINS = (
+    "speed_gain_q15",
+    "speed_integral_q22",
+    "position_gain_q20",
+    "heading_gain_q20",
+)
+FACTORS = (0.25, 0.5, 1.0, 2.0, 4.0)
+TUNED_AT_N_S = 6.0
 GRIPS = (0.6, 0.5, 0.7)
 ODOMETRY_SEEDS = tuple(range(6))
 NO_ACCELERATION_LIMIT = {"acceleration_limit_q10": 32767}
@@ -60,7 +70,8 @@ def all_cases() -> list[Case]:
     """Return the work of `run_figures`, in order."""
     blows = [Case("impulses", (j, x)) for j in IMPULSES_N_S for x in PLACES_M]
     odometry = [Case("odometry", (grip,)) for grip in GRIPS]
-    return [*blows, *odometry, Case("steps", ()), Case("stopping", ())]
+    tuning = [Case("tuning", (float(gain),)) for gain in range(len(TUNED_GAINS))]
+    return [*blows, *odometry, *tuning, Case("steps", ()), Case("stopping", ())]
 
 
 def run_figures(cases: Iterable[Case], out: Path) -> dict[str, Any]:
@@ -68,6 +79,7 @@ def run_figures(cases: Iterable[Case], out: Path) -> dict[str, Any]:
     work = {
         "impulses": blow_rows,
         "odometry": odometry_rows,
+        "tuning": lambda gain: tuning_rows(TUNED_GAINS[int(gain)]),
         "steps": step_rows,
         "stopping": stopping_rows,
     }
@@ -106,6 +118,7 @@ def tables(result: dict[str, Any]) -> list[tuple[str, list[dict[str, Any]]]]:
     return [
         ("blows in eight directions at two places", impulse_table(result["impulses"])),
         ("belief against truth, 20 s of hard driving; believed grip 0.6", result["odometry"]),
+        ("blows of 6 N s with one gain multiplied by a factor", result["tuning"]),
         ("step responses", result["steps"]),
         ("stopping on a third of the grip", result["stopping"]),
     ]
@@ -114,12 +127,15 @@ def tables(result: dict[str, Any]) -> list[tuple[str, list[dict[str, Any]]]]:
 # ---- impulses ----
 
 
-def blow_rows(impulse_n_s: float, place_m: float) -> list[dict[str, Any]]:
+def blow_rows(
+    impulse_n_s: float, place_m: float, firmware: dict[str, int] | None = None
+) -> list[dict[str, Any]]:
     """Return one row per controller and direction of a blow at this place."""
     duration_s = place_m / SPEED_M_S + 0.6 + AFTER_S
     rows = []
     for controller in CONTROLLERS:
-        calm = _run([(0.0, SPEED_M_S, 0.0, 0.0)], duration_s, controller)
+        straight = [(0.0, SPEED_M_S, 0.0, 0.0)]
+        calm = _run(straight, duration_s, controller, firmware=firmware)
         for direction_deg in DIRECTIONS_DEG:
             angle = np.deg2rad(direction_deg)
             blow = {
@@ -128,7 +144,7 @@ def blow_rows(impulse_n_s: float, place_m: float) -> list[dict[str, Any]]:
                 "impulse_y_n_s": impulse_n_s * float(np.sin(angle)),
                 "impulse_theta_n_m_s": 0.0,
             }
-            hit = _run([(0.0, SPEED_M_S, 0.0, 0.0)], duration_s, controller, impulses=[blow])
+            hit = _run(straight, duration_s, controller, firmware=firmware, impulses=[blow])
             rows.append(
                 {
                     "controller": controller,
@@ -184,6 +200,26 @@ def impulse_table(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
             }
         )
     return table
+
+
+# ---- tuning ----
+
+
+def tuning_rows(gain: str) -> list[dict[str, Any]]:
+    """Return what remains of blows with one gain multiplied by each factor, medians."""
+    rows = []
+    for factor in FACTORS:
+        changed = {gain: min(round(_firmware()[gain] * factor), 32767)}
+        blows = [row for x in PLACES_M for row in blow_rows(TUNED_AT_N_S, x, changed)]
+        [line] = impulse_table(blows)
+        rows.append(
+            {
+                "gain": gain,
+                "factor": factor,
+                **{f"{name}_remaining_mm": line[f"{name}_remaining_mm"] for name in CONTROLLERS},
+            }
+        )
+    return rows
 
 
 # ---- odometry ----
