@@ -1,12 +1,20 @@
-/* The transcript link_conversation.txt, played to the robot word for word. It is read from a file,
- * which a processor without an operating system has not: this test runs on the PC alone. */
+/* The transcript link_conversation.txt, played to the robot word for word. The assembler puts it
+ * into the program: a processor without an operating system has no files. */
 #include <ctype.h>
-#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <unity.h>
 
 #include "tests/firmware/robot_bench.h"
+
+__asm__(
+    ".section .rodata\n"
+    ".global transcript\n"
+    "transcript: .incbin \"" OMNISLIP_CONVERSATION
+    "\"\n"
+    ".byte 0\n"
+    ".previous\n");
+extern const char transcript[];
 
 static robot_bench bench;
 
@@ -53,16 +61,19 @@ static void play_line(const char *line) {
 }
 
 static void the_robot_keeps_to_the_transcript(void) {
-    char line[1024];
+    static char line[512];
+    const char *text = transcript;
     int lines = 0;
-    FILE *file = fopen(OMNISLIP_CONVERSATION, "r");
-    TEST_ASSERT_NOT_NULL_MESSAGE(file, OMNISLIP_CONVERSATION);
     robot_bench_start(&bench);
-    while (fgets(line, sizeof line, file)) {
+    while (*text) {
+        const size_t length = strcspn(text, "\n");
+        TEST_ASSERT_TRUE(text[length] == '\n' && length < sizeof line);
+        memcpy(line, text, length);
+        line[length] = 0;
         play_line(line);
+        text += length + 1;
         lines++;
     }
-    fclose(file);
     TEST_ASSERT_TRUE(lines > 20);
     TEST_ASSERT_EQUAL_INT(bench.from_robot_in, bench.from_robot_out);
 }
