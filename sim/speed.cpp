@@ -41,6 +41,16 @@ double least_ns(const char *model, const double *x, Work &&work) {
     return least;
 }
 
+/* The nominal machine, and room for effects of which none is active. */
+template <class Plant>
+std::vector<double> nominal_values(const BaseParameter (&base)[Plant::kBase]) {
+    std::vector<double> values;
+    for (const BaseParameter &p : base)
+        values.push_back(p.value);
+    values.resize(static_cast<std::size_t>(Plant::kBase + effect_slot_count(Plant::kMotors)));
+    return values;
+}
+
 /* Shafts that follow their duty with a lag: just enough for the firmware to hold a speed. */
 class Shafts {
   public:
@@ -99,10 +109,7 @@ double slip_step_ns(const std::vector<double> &values) {
 
 double axis_step_ns() {
     using Plant = AxisPlant<double>;
-    std::vector<double> values;
-    for (const BaseParameter &p : kAxisBase)
-        values.push_back(p.value);
-    values.resize(static_cast<std::size_t>(Plant::kBase + effect_slot_count(Plant::kMotors)));
+    const std::vector<double> values = nominal_values<Plant>(kAxisBase);
     const bool active[kEffectCount] = {};
     Plant plant;
     plant.prepare(values.data(), active);
@@ -117,10 +124,7 @@ double axis_step_ns() {
 
 double odometry_step_ns() {
     using Plant = OdometryPlant<double>;
-    std::vector<double> values;
-    for (const BaseParameter &p : kOdometryBase)
-        values.push_back(p.value);
-    values.resize(static_cast<std::size_t>(Plant::kBase + effect_slot_count(Plant::kMotors)));
+    std::vector<double> values = nominal_values<Plant>(kOdometryBase);
     constexpr double kBearings_deg[kMostWheels] = {
         30.0, 150.0, 210.0, 330.0, kNoWheel_deg, kNoWheel_deg, kNoWheel_deg, kNoWheel_deg};
     std::copy_n(kBearings_deg, kMostWheels, &values[Plant::kBase - kMostWheels]);

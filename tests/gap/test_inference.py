@@ -6,6 +6,7 @@ filter: estimates scatter as their covariance says, and 95 % intervals hold the 
 """
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -219,3 +220,33 @@ def test_hypotheses_grow_and_shrink(exact):
 def test_commands_of_the_bench_reverse_and_rest():
     command = multisine(np.random.default_rng(1), 1000)
     assert command.min() < -1 < 1 < command.max()
+
+
+def weighed(machine, explained):
+    """Evidence of an effect whose score is far too large in block 0 of 40.
+
+    `explained` says for each block whether the effect explains anything there.
+    """
+    rng = np.random.default_rng(0)
+    blocks = np.repeat(np.arange(40), 50)
+    column, residual = rng.standard_normal((2, blocks.size))
+    residual[blocks == 0] += 5.0 * column[blocks == 0]
+    column = np.where(explained[blocks], column, 0.0)
+    effect = candidate(machine, "coulomb_friction")
+    alone = Hypothesis((), (effect,), np.array([effect.parameters[0].scale]))
+    with_effect = Fit(alone, float(residual @ residual), residual, column[:, None])
+    left = residual + column
+    without = Fit(
+        Hypothesis((), (), np.zeros(0)), float(left @ left), left, np.zeros((left.size, 0))
+    )
+    return weigh(SimpleNamespace(blocks=blocks), without, with_effect, 0)
+
+
+def test_one_bad_block_does_not_hide_what_all_others_show(exact):
+    everywhere = weighed(exact, np.ones(40, bool))
+    assert everywhere.inflation > 5.0
+    assert everywhere.p_value < 1e-10
+
+
+def test_what_one_block_shows_alone_is_no_evidence(exact):
+    assert weighed(exact, np.arange(40) == 0).p_value > 0.1

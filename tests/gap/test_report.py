@@ -103,6 +103,7 @@ def findings_of(machine, verdict, effects=(), rivals=()):
     shares = np.arange(len(equations), 0.0, -1.0)
     excess = np.outer(np.ones(120), shares)
     gap_map = Map(equations, (fitting.t_s, checking.t_s), (excess, excess), shares / shares.sum())
+    shape = Leftover(equations[0], "once per turn", 812.5, 1.5, 1e-9, 20.0)
     place = Place(equations[0], "at low speed", 0.4, (("run_01", 0.25, 0.5),))
     added = [Effect(e.effect, dict.fromkeys(("size",), 1.0), e.wheel) for e in effects]
     force = {} if robot else {"fitted": 0.0812, "held_out": 0.0905}
@@ -126,6 +127,7 @@ def findings_of(machine, verdict, effects=(), rivals=()):
         replays=[replays_of(held)],
         manoeuvres={e.name: TWIST for e in effects} if rivals else {},
         inputs={"robot.toml": "ab" * 32, "run_01.csv": "cd" * 32},
+        shapes=[shape] if verdict != "no_gap" else [],
     )
 
 
@@ -328,6 +330,13 @@ def test_rivals_make_the_name_uncertain(machines):
     assert "expected separation 432" in text
     assert "its name is not certain" in text
     assert "weak_motor (wheel 3) : " + machine.catalogue["weak_motor"]["summary"] in text
+
+
+@pytest.mark.parametrize("verdict", ["effect_found", "unknown_effect"])
+def test_what_the_gap_looks_like_is_shown_for_a_known_and_an_unknown_cause(machines, verdict):
+    effects = machines["robot"].candidates()[:1] if verdict == "effect_found" else ()
+    page = Page(render(findings_of(machines["robot"], verdict, effects), COMMAND_LINE))
+    assert [row for row in page.rows if row[1:2] == ["once per turn"]]
 
 
 def test_each_trial_says_why(found_html):

@@ -2,23 +2,14 @@
 
 import numpy as np
 import pytest
+from axis_bench import GAIN_N_V, MASS_KG, VISCOUS_N_S_M, model_text, silent
 from omnislip.gap.find import find_gap, to_json
 from omnislip.log_file import Log, write_log
 from scipy.signal import cont2discrete
 
-MASS_KG, GAIN_N_V, VISCOUS_N_S_M = 10.0, 20.0, 15.0
 STIFFNESS_N_M, DAMPING_N_S_M, LOAD_SHARE = 1.2e5, 60.0, 0.35
 ROW_S, ROWS, RUNS = 2e-3, 2000, 6
 PLACE_SD_M = 2e-6
-MODEL = f"""[model]
-kind = "axis"
-[axis]
-mass_kg = {MASS_KG}
-input_gain_n_v = {GAIN_N_V}
-viscous_friction_n_s_m = {VISCOUS_N_S_M}
-[tolerance]
-default = 0.05
-"""
 
 
 def two_masses() -> tuple[np.ndarray, np.ndarray]:
@@ -58,11 +49,11 @@ def make_log(seed: int, drive: tuple[np.ndarray, np.ndarray]) -> Log:
 
 
 def find(folder, drive):
-    (folder / "axis.toml").write_text(MODEL)
+    (folder / "axis.toml").write_text(model_text(tolerance=0.05))
     paths = [folder / f"run{seed}.csv" for seed in range(RUNS)]
     for seed, path in enumerate(paths):
         write_log(make_log(seed, drive), path)
-    return to_json(find_gap(folder / "axis.toml", paths, lambda text: None))
+    return to_json(find_gap(folder / "axis.toml", paths, silent))
 
 
 def test_the_spring_of_a_two_mass_drive_is_named_with_its_sizes(tmp_path):

@@ -63,14 +63,14 @@ class Case:
     """One piece of work: a figure, and what varies in it."""
 
     figure: str
-    arguments: tuple[float, ...]
+    arguments: tuple[float | str, ...]
 
 
 def all_cases() -> list[Case]:
     """Return the work of `run_figures`, in order."""
     blows = [Case("impulses", (j, x)) for j in IMPULSES_N_S for x in PLACES_M]
     odometry = [Case("odometry", (grip,)) for grip in GRIPS]
-    tuning = [Case("tuning", (float(gain),)) for gain in range(len(TUNED_GAINS))]
+    tuning = [Case("tuning", (gain,)) for gain in TUNED_GAINS]
     return [*blows, *odometry, *tuning, Case("steps", ()), Case("stopping", ())]
 
 
@@ -79,7 +79,7 @@ def run_figures(cases: Iterable[Case], out: Path) -> dict[str, Any]:
     work = {
         "impulses": blow_rows,
         "odometry": odometry_rows,
-        "tuning": lambda gain: tuning_rows(TUNED_GAINS[int(gain)]),
+        "tuning": tuning_rows,
         "steps": step_rows,
         "stopping": stopping_rows,
     }
@@ -132,9 +132,9 @@ def blow_rows(
 ) -> list[dict[str, Any]]:
     """Return one row per controller and direction of a blow at this place."""
     duration_s = place_m / SPEED_M_S + 0.6 + AFTER_S
+    straight = [(0.0, SPEED_M_S, 0.0, 0.0)]
     rows = []
     for controller in CONTROLLERS:
-        straight = [(0.0, SPEED_M_S, 0.0, 0.0)]
         calm = _run(straight, duration_s, controller, firmware=firmware)
         for direction_deg in DIRECTIONS_DEG:
             angle = np.deg2rad(direction_deg)

@@ -12,13 +12,14 @@ so an impact has to stand out from the run's own level and to explain most of th
 
 The linear jump is right for a tap. A hard push makes wheels slide, so the size is fitted again with
 the plant itself: free-running from a state before the push, over a grid of times in the rows up to
-it. Against the plant's own replay without a push it has to gain and to explain as
-much: where wheels break loose the linear response feigns pushes that the plant does without. Then
-the log is cut: what follows sees the pieces before and after.
+it. Against the plant's own replay without a push it has to gain and to explain as much: where
+wheels break loose the linear response feigns pushes that the plant does without. Then the log is
+cut: what follows sees the pieces before and after.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -52,7 +53,7 @@ MOST_MISFIT = 9.0
 """A jump that leaves errors three times their standard deviation is not what happened."""
 APART_S = 0.3
 REPLAY_STEP_S = 1e-3
-TIMES, SPAN_S, LEAST_ROWS = 12, 0.024, 2
+TIMES, SPAN_S, SPAN_ROWS = 12, 0.024, 2
 """How many times of a push are tried, over that span or so many rows up to the likeliest row."""
 CUT_S = 0.05
 """Left out after a push: the contact of the pusher."""
@@ -219,7 +220,7 @@ class _Window:
     def __init__(
         self, machine: Machine, run: Run, row: int, values: Array, noise: Noise, filtered: Array
     ) -> None:
-        earliest_s = min(run.t_s[row] - SPAN_S, run.t_s[max(row - LEAST_ROWS, 0)])
+        earliest_s = min(run.t_s[row] - SPAN_S, run.t_s[max(row - SPAN_ROWS, 0)])
         first = max(int(np.searchsorted(run.t_s, earliest_s, side="right")), 1)
         end = int(np.searchsorted(run.t_s, run.t_s[row] + HORIZON_S)) + 1
         self._machine, self._values = machine, values
@@ -228,15 +229,12 @@ class _Window:
         self._command = run.command[first - 1 : end]
         self._outputs = run.outputs[first - 1 : end].copy()
         self._outputs[0] = np.nan
-        start = filtered[first - 1][: machine.engine.states]
-        calm = machine.engine.recording(
-            self._t_s, np.ascontiguousarray(self._command), self._outputs, start
-        )
+        self._start = filtered[first - 1][: machine.engine.states]
+        calm = machine.engine.recording(self._t_s, self._command, self._outputs, self._start)
         self._weight = 1.0 / np.sqrt(self._track(calm).replay_variance.reshape(self._outputs.shape))
         self._calm = self._replayed(calm) * self._weight
         edges_s = np.linspace(max(earliest_s, self._t_s[0]), run.t_s[row], TIMES + 1)
         self.times_s = (0.5 * (edges_s[1:] + edges_s[:-1])).tolist()
-        self._states = self._free_run(start)
         self.quiet = float(np.nansum(self._calm**2))
         self.readings = max(np.count_nonzero(~np.isnan(self._outputs)), 1)
         self.grid_s = float(edges_s[1] - edges_s[0])
@@ -249,7 +247,7 @@ class _Window:
         blank = np.full((1, self._outputs.shape[1]), np.nan)
         recording = self._machine.engine.recording(
             np.concatenate([[time_s], self._t_s[row + 1 :]]),
-            np.ascontiguousarray(self._command[row:]),
+            self._command[row:],
             np.concatenate([blank, self._outputs[row + 1 :]]),
             state,
         )
@@ -262,12 +260,16 @@ class _Window:
         cos, sin = np.cos(heading_rad), np.sin(heading_rad)
         return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
 
-    def _free_run(self, start: Array) -> dict[float, Array]:
-        """Return the states at the times to try, without a push."""
+    @cached_property
+    def _states(self) -> dict[float, Array]:
+        """States at the times to try, without a push."""
         t_s = np.union1d(self._t_s, self.times_s)
         row = np.searchsorted(self._t_s, t_s, side="right") - 1
         recording = self._machine.engine.recording(
-            t_s, self._command[row], np.full((len(t_s), self._outputs.shape[1]), np.nan), start
+            t_s,
+            self._command[row],
+            np.full((len(t_s), self._outputs.shape[1]), np.nan),
+            self._start,
         )
         states = self._track(recording).state.reshape(len(t_s), -1)
         at = np.searchsorted(t_s, self.times_s)

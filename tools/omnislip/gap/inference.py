@@ -410,7 +410,8 @@ def weigh(data: Data, without: Fit, with_effect: Fit, index: int) -> Evidence:
     if scatter.blocks < SINGLE_BLOCK:
         others = data.blocks != scatter.worst
         squares = without.residual**2 - with_effect.residual**2
-        rest = scatter_of(data, tested[0] * others[:, None], with_effect.residual, tested[1])
+        kept = tested[0] * others[:, None]
+        rest = scatter_of(data, kept, with_effect.residual, kept.T @ kept)
         chance = _chance(gain - float(np.sum(squares[~others])), rest, len(own))
         p_value = min(p_value, chance * (int(data.blocks[-1]) + 1))
     covariance = np.linalg.pinv(information) * np.outer(scale, scale) * scatter.inflation

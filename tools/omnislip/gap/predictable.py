@@ -66,18 +66,16 @@ def predictable_shares(
     names = list(dict.fromkeys(run.name for run in runs))
     if machine.kind != "robot" or len(names) < LEAST_RUNS:
         return []
-    features, targets, owners = [], [], []
+    features, targets, there, owners = [], [], [], []
     gear = float(machine.model.values["motor.gear_ratio"])
-    before = _states(machine, runs, noise, without)
-    for run, state in zip(runs, _states(machine, runs, noise, values), strict=True):
+    after, before = (_states(machine, runs, noise, model) for model in (values, without))
+    for run, state, unexplained in zip(runs, after, before, strict=True):
         rows = _sparse_rows(run)
         features.append(_features(run, state, gear)[rows])
         targets.append(state[rows][:, DISTURBANCES])
+        there.append(unexplained[rows][:, DISTURBANCES])
         owners.append(np.full(len(rows), names.index(run.name)))
     x, y, owner = np.concatenate(features), np.concatenate(targets), np.concatenate(owners)
-    there = [
-        state[_sparse_rows(run)][:, DISTURBANCES] for run, state in zip(runs, before, strict=True)
-    ]
     least = REST * np.sum(np.concatenate(there) ** 2, axis=0)
     folds = [range(first, len(names), FOLDS) for first in range(min(FOLDS, len(names)))]
     found = []

@@ -475,6 +475,8 @@ class _Pair:
     data: Data
     without: Fit
     fitted: Fit
+    first: Candidate
+    second: Trial
 
 
 class _Ahead:
@@ -508,7 +510,12 @@ class _Ahead:
         ]
         hopeful = sorted(hopeful, key=lambda pair: pair[1].objective)[:BEAM]
         passed = [pair for trial, one in hopeful for pair in self._pairs(trial.candidate, one)]
-        return min(passed, key=lambda pair: pair.fitted.objective, default=None)
+        best = min(passed, key=lambda pair: pair.fitted.objective, default=None)
+        if best is not None:
+            reason = f"{best.first.name} and this pass together"
+            taken = replace(best.second, accepted=True, reason=reason)
+            self.trials = [taken if trial is best.second else trial for trial in self.trials]
+        return best
 
     def _pairs(self, candidate: Candidate, fitted: Fit) -> list[_Pair]:
         """Return the models with this effect and a second one that pass.
@@ -525,14 +532,20 @@ class _Ahead:
         worth = [s for s in screen(data, first, others)[:BEAM_REFITS] if s.promise > LEAST_PROMISE]
         tried = self._tried * BEAM * BEAM
         found = _try(data, checks, first, worth, self._step, tried, self._gained, self._progress)
+        found = [(_looked_at(trial, candidate), fitted) for trial, fitted in found]
         self.trials += [trial for trial, _ in found]
         found.sort(key=lambda pair: -pair[0].evidence.gain / pair[0].evidence.inflation)
         without = fit(data, self._current.hypothesis)
         pairs = [
-            _Pair(data, without, _patch_again(data, fit(data, second.hypothesis)))
-            for _, second in found[:BEAM]
+            _Pair(data, without, _patch_again(data, fit(data, second.hypothesis)), candidate, trial)
+            for trial, second in found[:BEAM]
         ]
         return [pair for pair in pairs if _both_pass(pair, checks, tried)]
+
+
+def _looked_at(trial: Trial, first: Candidate) -> Trial:
+    """Return a trial beside a first effect that was refused: neither is taken yet."""
+    return replace(trial, accepted=False, reason=f"beside {first.name}: {trial.reason}")
 
 
 def _both_pass(pair: _Pair, checks: Data, tried: int) -> bool:
