@@ -112,8 +112,8 @@ def test_series_are_held_out_whole(model):
     machine = Machine(read_model(model))
     logs = [make_log(3 * s + k, series=f"day_{s}", seconds=8.0) for s in range(3) for k in range(3)]
     split = split_runs(machine, logs)
-    assert [run.name for run in split.fitting] == ["run_00", "run_01", "run_02"]
-    assert [run.name for run in split.validation] == ["run_03", "run_04", "run_05"]
+    assert [run.name for run in split.fitting] == [f"run_{k:02d}" for k in range(6)]
+    assert [run.unit for run in split.fitting] == ["day_0"] * 3 + ["day_1"] * 3
     assert [run.name for run in split.held_out] == ["run_06", "run_07", "run_08"]
     assert "series" in split.how
 

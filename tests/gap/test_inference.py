@@ -20,11 +20,16 @@ from axis_bench import (
     true_noise,
 )
 from omnislip.gap.inference import (
+    LEAST_STAKE,
+    Check,
     Data,
     Fit,
     Hypothesis,
     at_bound,
+    check_columns,
+    check_unseen,
     fit,
+    fitted_without_each_unit,
     free_of_fitted,
     objective,
     prior_penalty,
@@ -250,3 +255,84 @@ def test_one_bad_block_does_not_hide_what_all_others_show(exact):
 
 def test_what_one_block_shows_alone_is_no_evidence(exact):
     assert weighed(exact, np.arange(40) == 0).p_value > 0.1
+
+
+# ---- runs left out ----
+
+
+@pytest.fixture(scope="module")
+def dry(tmp_path_factory):
+    """Four runs of an axis with dry friction, fitted without and with it."""
+    machine = make_machine(tmp_path_factory.mktemp("dry"))
+    runs = make_runs(machine, Bench(coulomb_n=1.0), range(4))
+    data = Data(machine, runs, true_noise(), machine.believed)
+    base = fit(data, without_effects(machine))
+    start = base.hypothesis.with_effect(candidate(machine, "coulomb_friction"), [0.5])
+    return data, base, fit(data, start)
+
+
+def test_a_fit_without_a_unit_is_that_of_the_other_runs(dry):
+    """Two runs are one unit: within a tenth of a deviation of a fit that never saw them."""
+    data, _, fitted = dry
+    runs = [replace(r, unit=u) for r, u in zip(data.runs, ("a", "b", "a", "c"), strict=True)]
+    pooled = Data(data.machine, runs, data.noise, data.believed)
+    found = fitted_without_each_unit(pooled, fitted)
+    assert len(found) == 3
+    places = [p.places[0] for p in fitted.hypothesis.parameters]
+    for unit, left in enumerate(([1, 3], [0, 2, 3], [0, 1, 2])):
+        others = Data(data.machine, [runs[k] for k in left], data.noise, data.believed)
+        others.scale = pooled.scale
+        again = fit(others, fitted.hypothesis)
+        count = len(fitted.hypothesis.base)
+        prior = np.diag([1.0] * count + [0.0] * (len(places) - count))
+        deviation = np.sqrt(np.diag(np.linalg.inv(again.jacobian.T @ again.jacobian + prior)))
+        scale = np.array([p.scale for p in fitted.hypothesis.parameters])
+        off = (found[unit, places] - again.hypothesis.x) / scale
+        assert np.all(np.abs(off) < 0.1 * deviation)
+
+
+def test_a_run_is_judged_by_what_fits_the_others(dry):
+    data, base, fitted = dry
+    [check] = check_unseen(data, base, [fitted])
+    sets = [fitted_without_each_unit(data, one) for one in (base, fitted)]
+    for run in range(4):
+        before, after = data.residuals(np.stack([one[run] for one in sets]))
+        before, after = data.per_run(before)[run], data.per_run(after)[run]
+        assert check.gains[run] == pytest.approx(np.sum(before**2) - np.sum(after**2), rel=1e-6)
+        assert check.stakes[run] == pytest.approx(np.sum((before - after) ** 2), rel=1e-6)
+    assert check.helps and check.helped == 4
+
+
+def test_columns_are_judged_by_what_fits_the_other_runs(dry):
+    data, base, _ = dry
+    columns = np.random.default_rng(4).standard_normal((base.residual.size, 2))
+    columns += 0.05 * base.residual[:, None]
+    check = check_columns(data, base.residual, columns)
+    parts = list(zip(data.per_run(columns), data.per_run(base.residual), strict=True))
+    for run, (c, r) in enumerate(parts):
+        others = [p for k, p in enumerate(parts) if k != run]
+        left, right = (np.concatenate([p[side] for p in others]) for side in (0, 1))
+        sizes = -np.linalg.lstsq(left, right, rcond=None)[0]
+        gain = np.sum(r**2) - np.sum((r + c @ sizes) ** 2)
+        assert check.gains[run] == pytest.approx(gain, rel=1e-6)
+        assert check.stakes[run] == pytest.approx(np.sum((c @ sizes) ** 2), rel=1e-6)
+
+
+HIGH, LOW = 4.0 * LEAST_STAKE, 0.5 * LEAST_STAKE
+
+
+@pytest.mark.parametrize(
+    "gains, stakes, helps",
+    [
+        ([9.0, 8.0, 9.0, 8.0], [HIGH] * 4, True),
+        ([9.0, 8.0, 9.0, -8.0], [HIGH] * 4, True),
+        ([9.0, 8.0, -3.0, -8.0], [HIGH] * 4, False),
+        ([9.0, 8.0, -1.0, -1.0], [HIGH, HIGH, LOW, LOW], True),  # these two have no vote
+        ([9.0, 8.0, -9.0, -9.0], [HIGH, HIGH, LOW, LOW], False),  # but they count
+        ([1.0, 1.0, 1.0, 1.0], [LOW] * 4, False),
+        ([9.0] * 20 + [-1.0] * 10, [HIGH] * 30, True),  # beyond the scatter
+        ([9.0] * 20 + [-15.0] * 10, [HIGH] * 30, False),
+    ],
+)
+def test_most_of_the_runs_in_which_something_is_at_stake_have_to_gain(gains, stakes, helps):
+    assert Check(np.array(gains), np.array(stakes)).helps == helps

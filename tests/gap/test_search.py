@@ -10,13 +10,10 @@ from omnislip.gap.search import search, stability_of
 from omnislip.model_file import Effect, read_model, write_model
 from scipy.stats import binom
 
-FITTING, VALIDATION = range(4), range(10, 14)
-
 
 def find(machine, bench, first_seed=0):
-    fitting = make_runs(machine, bench, range(first_seed, first_seed + 4))
-    validation = make_runs(machine, bench, range(first_seed + 10, first_seed + 14))
-    return search(machine, fitting, validation, None, silent)
+    seeds = [*range(first_seed, first_seed + 4), *range(first_seed + 10, first_seed + 14)]
+    return search(machine, make_runs(machine, bench, seeds), None, silent)
 
 
 def names(outcome):

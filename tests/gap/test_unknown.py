@@ -34,8 +34,7 @@ def hidden(tmp_path, name, parameters, wheel=None):
 def described(machine, runs):
     """What the description says beside the believed model, its keys refitted."""
     data, fitted = settle(machine, runs, believed_hypothesis(machine))
-    outcome = SimpleNamespace(data=data, final=fitted)
-    return describe_unknown(outcome, runs[:5], runs[5:])
+    return describe_unknown(SimpleNamespace(data=data, final=fitted))
 
 
 def test_beat_in_time_is_found_with_its_frequency_and_size(tmp_path):

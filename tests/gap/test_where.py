@@ -99,14 +99,11 @@ def test_small_shares_are_left_out_and_large_ones_come_first():
 def test_friction_of_an_axis_is_in_its_force(tmp_path):
     machine = make_machine(tmp_path)
     bench = Bench(coulomb_n=2.0)
-    fitting, validation = (
-        make_runs(machine, bench, range(4)),
-        make_runs(machine, bench, range(4, 8)),
-    )
-    outcome = search(machine, fitting, validation, None, silent)
+    runs = make_runs(machine, bench, range(8))
+    outcome = search(machine, runs, None, silent)
     refit, after = (f.hypothesis.flat(machine.believed) for f in (outcome.base, outcome.final))
-    found = map_gap(machine, fitting, outcome.data.noise, refit, after)
-    places = describe(fitting, found)
+    found = map_gap(machine, runs, outcome.data.noise, refit, after)
+    places = describe(runs, found)
     assert found.shares.sum() == pytest.approx(1.0)
     assert places[0].channel == "axis/force"
     assert places[0].share > 0.5
@@ -148,6 +145,6 @@ def test_what_the_gap_looks_like_tells_parity_order_and_frame(name):
     noise = tune_noise(machine, runs, true)
     start = believed_hypothesis(machine)
     data = Data(machine, runs, noise, machine.believed)
-    shapes = find_shapes(data, data, fit(data, start))
+    shapes = find_shapes(data, fit(data, start))
     strongest = max(shapes, key=lambda shape: shape.gain)
     assert looks in f"{strongest.equation}: {strongest.dependence}"

@@ -95,7 +95,7 @@ def ask_baselines(
     The noise is tuned for that model, from a first `noise`: a defect counts as noise while it is
     not explained.
     """
-    runs = [*split.fitting, *split.validation]
+    runs = split.fitting
     values = refit.flat(machine.believed)
     noise = tune_noise(machine, runs, values, noise)
     data = Data(machine, runs, noise, values)

@@ -333,7 +333,7 @@ def _ask_oracle(
     `lambda` is None where the catalogue cannot hold the truth (unknown, wiring, impact).
     """
     machine, outcome = findings.machine, findings.outcome
-    runs = [*findings.split.fitting, *findings.split.validation]
+    runs = findings.split.fitting
     structure = _true_structure(machine, runs, truth)
     if outcome is None or structure is None:
         return None, NOT_SEEN

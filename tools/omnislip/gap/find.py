@@ -51,11 +51,14 @@ Array = npt.NDArray[np.float64]
 SCHEMA = "omnislip-gap/1"
 RUNS_TO_HOLD_OUT_WHOLE = 5
 SERIES_TO_HOLD_OUT_WHOLE = 3
+LEAST_UNITS, LEAST_PART_S = 5, 2.0
+"""Parts of runs that check each other, where the logs are few, and their least length."""
+HELD_OUT_SHARE = 0.25
 WHOLE_RUNS = ("whole series (folders) of runs", "whole runs")
 """How runs are held out where there are enough."""
 FEW_RUNS = (
-    f"With fewer than {RUNS_TO_HOLD_OUT_WHOLE} logs the choice was checked on parts of the runs "
-    "that were fitted: a name may change with more."
+    f"With fewer than {RUNS_TO_HOLD_OUT_WHOLE} logs the choice was checked on parts of runs whose "
+    "other parts were fitted: a name may change with more."
 )
 STABLE = 0.9
 """Share of resamples of the runs in which a name has to hold."""
@@ -83,12 +86,16 @@ CONFIDENCE = 1.959964  # 95 %
 
 @dataclass(frozen=True)
 class Split:
-    """Which runs are fitted, which check the choice, and which are only looked at in the end."""
+    """Which runs are fitted, each checking the choice too, and which are looked at at the end."""
 
     fitting: list[Run]
-    validation: list[Run]
     held_out: list[Run]
     how: str
+
+    @property
+    def enough(self) -> bool:
+        """Whether there is a run to fit, another to check it, and one to hold out."""
+        return len({run.unit for run in self.fitting}) > 1 and bool(self.held_out)
 
 
 @dataclass(frozen=True)
@@ -163,16 +170,16 @@ def find_gap(
     cuts += known_pushes(model)
     runs = [make_run(machine, log, *rows) for log in logs for rows in pieces(log, cuts)]
     known = split_runs(machine, logs, cuts)
-    if not (known.fitting and known.validation and known.held_out):
+    if not known.enough:
         return _insufficient(machine, logs, _too_cut(known), inputs)
-    noise, values = first_model(machine, [*known.fitting, *known.validation])
+    noise, values = first_model(machine, known.fitting)
     impacts = find_impacts(machine, runs, values, noise)
     for _ in range(2):  # again where a push shows only beside the final model
         pushes = cuts + [(impact.run, impact.time_s) for impact in impacts]
         split = split_runs(machine, logs, pushes)
-        if not (split.fitting and split.validation and split.held_out):
+        if not split.enough:
             return _insufficient(machine, logs, _too_cut(split), inputs)
-        outcome = search(machine, split.fitting, split.validation, noise, progress)
+        outcome = search(machine, split.fitting, noise, progress)
         progress("looking for impacts with the final model")
         values = outcome.final.hypothesis.flat(machine.believed)
         confirmed = find_impacts(machine, runs, values, outcome.data.noise)
@@ -193,7 +200,7 @@ def find_gap(
     believed = machine.believed
     rungs = [fitted.hypothesis.flat(believed) for fitted in outcome.ladder]
     refit, after = rungs[0], rungs[-1]
-    fitted = [*split.fitting, *split.validation]
+    fitted = split.fitting
     models = [believed, refit, after]
     replays = replay_all(machine, split.held_out, outcome.data.noise, models)
     table = gap_table(replays, replay_all(machine, fitted, outcome.data.noise, models))
@@ -215,7 +222,7 @@ def find_gap(
     unknown = None
     if verdict == "unknown_effect":
         progress("describing what is missing")
-        unknown = describe_unknown(outcome, split.fitting, split.validation)
+        unknown = describe_unknown(outcome)
     manoeuvres = {}
     for index, one in enumerate(outcome.selected):
         if one.rivals:
@@ -253,8 +260,8 @@ def _shapes(machine: Machine, split: Split, outcome: Outcome) -> list[Leftover]:
     """Describe the gap of the refitted model, by the noise of the final one."""
     start = outcome.ladder[0].hypothesis
     flat, noise = start.flat(machine.believed), outcome.data.noise
-    data = Data(machine, [*split.fitting, *split.validation], noise, flat)
-    return find_shapes(data, Data(machine, split.validation, noise, flat), fit(data, start))
+    data = Data(machine, split.fitting, noise, flat)
+    return find_shapes(data, fit(data, start))
 
 
 def _unstable(one: Selected) -> str:
@@ -360,47 +367,56 @@ def split_runs(
 ) -> Split:
     """Hold out whole series where there are three, else whole runs where there are five.
 
-    Else the last run, or the end of the one. A series is a folder of logs: what its runs have in
-    common (day, floor, clocks) must not help the model on the runs that judge it.
+    Else the last run, or the end of the one; the others are then cut into parts. A series is a
+    folder of logs: what its runs have in common (day, floor, clocks) must not help the model on the
+    runs that judge it. A series, run or part is a unit of the runs that are fitted: a choice is
+    checked on each by what fits the others.
 
     A log is cut at its pushes (run, time).
     """
     series = list(dict.fromkeys(log.series for log in logs))
     if len(series) >= SERIES_TO_HOLD_OUT_WHOLE:
-        roles = dict(zip(series, _roles(len(series)), strict=True))
-        parts = [(roles[log.series], log, 0, len(log.t_s)) for log in logs]
+        held = [series[k] for k in _every_fifth(len(series))]
+        parts = [(log.series, log.series in held, log, 0, len(log.t_s)) for log in logs]
         how = WHOLE_RUNS[0]
     elif len(logs) >= RUNS_TO_HOLD_OUT_WHOLE:
-        roles = _roles(len(logs))
-        parts = [(role, log, 0, len(log.t_s)) for role, log in zip(roles, logs, strict=True)]
+        held = [logs[k].name for k in _every_fifth(len(logs))]
+        parts = [(log.name, log.name in held, log, 0, len(log.t_s)) for log in logs]
         how = WHOLE_RUNS[1]
     elif len(logs) > 1:
-        parts = [p for log in logs[:-1] for p in _cut(log, (0.0, 0.75, 1.0))]
-        parts.append((2, logs[-1], 0, len(logs[-1].t_s)))
-        how = "the last run held out; the end of the others checks the choice"
+        parts = [(logs[-1].name, True, logs[-1], 0, len(logs[-1].t_s))]
+        for log in logs[:-1]:
+            parts += _cut(log, len(log.t_s), -(-LEAST_UNITS // (len(logs) - 1)))
+        how = "the last run held out; parts of the others check each other"
     else:
-        parts = _cut(logs[0], (0.0, 0.55, 0.75, 1.0))
-        how = "one run only: its last quarter held out"
-    runs: tuple[list[Run], ...] = ([], [], [])
-    for role, log, first, last in parts:
+        [log] = logs
+        end = round((1.0 - HELD_OUT_SHARE) * len(log.t_s))
+        parts = [*_cut(log, end, LEAST_UNITS), (log.name, True, log, end, len(log.t_s))]
+        how = "one run only: its last quarter held out, parts of the rest check each other"
+    fitting, held_out = [], []
+    for unit, is_held_out, log, first, last in parts:
         for begin, end in pieces(log, pushes):
             rows = (max(begin, first), min(end, last))
             if rows[1] - rows[0] >= LEAST_ROWS:
-                runs[role].append(make_run(machine, log, *rows))
-    return Split(*runs, how)
+                run = replace(make_run(machine, log, *rows), unit=unit)
+                (held_out if is_held_out else fitting).append(run)
+    return Split(fitting, held_out, how)
 
 
-def _roles(count: int) -> list[int]:
-    """Every fifth is held out (2), the one before it checks (1), the others are fitted (0)."""
+def _every_fifth(count: int) -> list[int]:
+    """Numbers of those that are held out."""
     share = max(1, round(0.2 * count))
-    held = {round((k + 1) * count / share) - 1 for k in range(share)}
-    return [2 if i in held else 1 if i + 1 in held else 0 for i in range(count)]
+    return [round((k + 1) * count / share) - 1 for k in range(share)]
 
 
-def _cut(log: Log, shares: Sequence[float]) -> list[tuple[int, Log, int, int]]:
-    """Cut a log at shares of its rows: (role, log, begin, end)."""
-    edges = [round(share * len(log.t_s)) for share in shares]
-    return [(role, log, begin, end) for role, (begin, end) in enumerate(pairwise(edges))]
+def _cut(log: Log, end: int, count: int) -> list[tuple[str, bool, Log, int, int]]:
+    """Cut the rows of a log before `end` into some parts: (unit, held out, log, begin, end)."""
+    count = max(2, min(count, int((log.t_s[end - 1] - log.t_s[0]) / LEAST_PART_S)))
+    edges = np.linspace(0, end, count + 1).round().astype(int)
+    return [
+        (f"{log.name}, part {k + 1}", False, log, int(first), int(last))
+        for k, (first, last) in enumerate(pairwise(edges))
+    ]
 
 
 def _too_little(machine: Machine, logs: Sequence[Log]) -> str | None:
@@ -435,7 +451,7 @@ def _resolution(values: Array) -> float:
 def _insufficient(
     machine: Machine, logs: Sequence[Log], reason: str, inputs: dict[str, str]
 ) -> Findings:
-    split = Split([], [], [], "no run was used")
+    split = Split([], [], "no run was used")
     return Findings(
         "insufficient_data",
         f"Not enough data: {reason}.",
@@ -599,7 +615,6 @@ def to_json(findings: Findings) -> dict[str, Any]:
         "split": {
             "how": findings.split.how,
             "fitting": _names(findings.split.fitting),
-            "validation": _names(findings.split.validation),
         },
         "inputs_sha256": findings.inputs,
     }

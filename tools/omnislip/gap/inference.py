@@ -26,6 +26,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import lsq_linear
 from scipy.stats import f as f_distribution
+from scipy.stats import t as student
 
 from omnislip import _core
 from omnislip.gap.machine import Candidate, Machine, Parameter
@@ -48,6 +49,10 @@ SINGLE_BLOCK = 2.0
 """Blocks that make an inflation, below which one of them is most of it."""
 WORTH_A_ROUND = 2.0
 """Gain of Q below which a quick fit ends."""
+MOST_ERROR = 8.0
+LEAST_STAKE = 4.0
+HELPED_SHARE = 0.75
+SCATTER_P_VALUE = 0.01
 
 
 @dataclass(frozen=True)
@@ -128,6 +133,9 @@ class Data:
         self.believed = machine.believed
         self._kept = [self.kept_rows(run) for run in self.runs]
         self.blocks = self._block_numbers()
+        units = list(dict.fromkeys(run.unit for run in self.runs))
+        self.units = np.array([units.index(run.unit) for run in self.runs])
+        """Number of the unit of each run (runs,)."""
         self.scale = 1.0
         self.hidden = Projection(self._kept_only(hidden_columns(machine, runs, self.tracks)))
         residual = self.residuals(values[None])[0]
@@ -135,17 +143,32 @@ class Data:
 
     def residuals(self, sets: Array) -> Array:
         """Return whitened residuals (sets, m) of flat parameter sets (sets, parameters)."""
-        sizes = [int(k.sum()) * self.machine.engine.outputs for k in self._kept]
-        edges = np.concatenate([[0], np.cumsum(sizes)])
+        return self._residuals(sets[:, None], np.zeros(len(self.runs), dtype=np.int64))
+
+    def residuals_unseen(self, sets: Array) -> Array:
+        """Return residuals (models, m) where each unit of runs has a parameter set of its own.
+
+        `sets` is (models, units, parameters).
+        """
+        return self._residuals(sets, self.units)
+
+    def _residuals(self, sets: Array, owners: npt.NDArray[np.int64]) -> Array:
+        """Whitened residuals (models, m); run k by the sets (models, parameters) of owners[k]."""
+        edges = np.concatenate([[0], np.cumsum(self._sizes())])
         residuals = np.empty((len(sets), edges[-1]))
-        for first in range(0, len(sets), BATCH):
-            batch = np.ascontiguousarray(sets[first : first + BATCH])
-            arrays = self.machine.engine.innovations(
-                self.recordings, self.tracks, batch, step_s=STEP_S
-            )
-            for run, (array, kept) in enumerate(zip(arrays, self._kept, strict=True)):
-                own = array[:, int(np.argmax(kept)) :].reshape(len(batch), -1)
-                residuals[first : first + len(batch), edges[run] : edges[run + 1]] = own
+        for owner in range(sets.shape[1]):
+            runs = np.flatnonzero(owners == owner)
+            for first in range(0, len(sets), BATCH):
+                batch = np.ascontiguousarray(sets[first : first + BATCH, owner])
+                arrays = self.machine.engine.innovations(
+                    [self.recordings[k] for k in runs],
+                    [self.tracks[k] for k in runs],
+                    batch,
+                    step_s=STEP_S,
+                )
+                for run, array in zip(runs, arrays, strict=True):
+                    own = array[:, int(np.argmax(self._kept[run])) :].reshape(len(batch), -1)
+                    residuals[first : first + len(batch), edges[run] : edges[run + 1]] = own
         residuals /= self.scale
         if not max(residuals.max(), -residuals.min()) < DIVERGED:  # not so with NaN either
             np.nan_to_num(residuals, copy=False, nan=DIVERGED)
@@ -159,8 +182,11 @@ class Data:
 
     def per_run(self, residual: Array) -> list[Array]:
         """Split one residual (m,) into runs."""
-        sizes = [int(k.sum()) * self.machine.engine.outputs for k in self._kept]
-        return np.split(residual, np.cumsum(sizes)[:-1])
+        return np.split(residual, np.cumsum(self._sizes())[:-1])
+
+    def _sizes(self) -> list[int]:
+        """Length of each run's part of a residual."""
+        return [int(k.sum()) * self.machine.engine.outputs for k in self._kept]
 
     def kept_rows(self, run: Run) -> npt.NDArray[np.bool_]:
         """Rows after the filter has found the initial state."""
@@ -302,6 +328,107 @@ def costs_refitted(data: Data, current: Fit, models: Sequence[Hypothesis]) -> Ar
             step = _solve_within(shared, slope, low, high)[:count]
             costs[first + k] = residual @ residual + z @ z + 2 * step @ slope + step @ shared @ step
     return costs
+
+
+def fitted_without_each_unit(data: Data, fitted: Fit) -> Array:
+    """Return flat values (units, parameters) of the model fitted without one unit of runs each.
+
+    One Gauss-Newton step from the fit to all of them (leave-one-out by the normal matrix).
+    """
+    hypothesis = fitted.hypothesis
+    scale = np.array([p.scale for p in hypothesis.parameters])
+    low = (np.array([p.low for p in hypothesis.parameters]) - hypothesis.x) / scale
+    high = (np.array([p.high for p in hypothesis.parameters]) - hypothesis.x) / scale
+    count = len(hypothesis.base)
+    parts = list(zip(data.per_run(fitted.jacobian), data.per_run(fitted.residual), strict=True))
+    gram = fitted.jacobian.T @ fitted.jacobian
+    gram[:count, :count] += np.eye(count)
+    slope = fitted.jacobian.T @ fitted.residual
+    slope[:count] += prior_penalty(hypothesis, data.believed, hypothesis.x)
+    values = []
+    for unit in range(int(data.units.max()) + 1):
+        own = [parts[k] for k in np.flatnonzero(data.units == unit)]
+        own_gram = sum(j.T @ j for j, _ in own)
+        own_slope = sum(j.T @ r for j, r in own)
+        step = _solve_within(gram - own_gram, slope - own_slope, low, high)
+        values.append(hypothesis.flat(data.believed, hypothesis.x + step * scale))
+    return np.stack(values)
+
+
+@dataclass(frozen=True)
+class Check:
+    """What a change of the model does to each run (runs,) by sizes fitted without its unit.
+
+    `gains` is the fall of the square error, `stakes` the square of the change. Where the change is
+    right, a gain is its stake +- twice its root.
+    """
+
+    gains: Array
+    stakes: Array
+
+    @property
+    def gain(self) -> float:
+        """Sum over all runs."""
+        return float(np.sum(self.gains))
+
+    @property
+    def voters(self) -> npt.NDArray[np.bool_]:
+        """Runs in which enough is at stake for the sign of the gain to tell anything."""
+        return self.stakes > LEAST_STAKE
+
+    @property
+    def helped(self) -> int:
+        """How many of these gain."""
+        return int(np.sum(self.gains[self.voters] > 0))
+
+    @property
+    def helps(self) -> bool:
+        """Whether the sum is positive, and 3 of 4 runs gain or the mean beyond their scatter.
+
+        The second is a t-test.
+        """
+        if not self.gain > 0 or not self.voters.any():
+            return False
+        if self.helped >= HELPED_SHARE * np.sum(self.voters):
+            return True
+        count = len(self.gains)
+        error = np.std(self.gains, ddof=1) / np.sqrt(count) if count > 1 else np.inf
+        return self.gain / count > error * student.isf(SCATTER_P_VALUE, max(count - 1, 1))
+
+
+def check_unseen(data: Data, without: Fit, fits: Sequence[Fit]) -> list[Check]:
+    """Judge each of the fits against `without` on runs whose units were left out of both.
+
+    An error counts up to `MOST_ERROR` standard deviations: where wheels spin out, a model that is
+    nearly right may be further off in a few rows than one that never lets them spin.
+    """
+    if not fits:
+        return []
+    sets = np.stack([fitted_without_each_unit(data, one) for one in (without, *fits)])
+    residuals = np.clip(data.residuals_unseen(sets), -MOST_ERROR, MOST_ERROR)
+    before, *after = (data.per_run(r) for r in residuals)
+    return [
+        Check(
+            np.array([np.sum(b**2) - np.sum(a**2) for b, a in zip(before, one, strict=True)]),
+            np.array([np.sum((b - a) ** 2) for b, a in zip(before, one, strict=True)]),
+        )
+        for one in after
+    ]
+
+
+def check_columns(data: Data, residual: Array, columns: Array) -> Check:
+    """Judge a linear change of a residual (m,) by columns (m, k), sizes by least squares."""
+    parts = list(zip(data.per_run(columns), data.per_run(residual), strict=True))
+    grams = np.array([c.T @ c for c, _ in parts])
+    slopes = np.array([c.T @ r for c, r in parts])
+    gains, stakes = np.empty(len(parts)), np.empty(len(parts))
+    for run, unit in enumerate(data.units):
+        others = data.units != unit
+        inverse = np.linalg.pinv(grams[others].sum(0), rcond=1e-9, hermitian=True)
+        sizes = -inverse @ slopes[others].sum(0)
+        stakes[run] = sizes @ grams[run] @ sizes
+        gains[run] = -2.0 * sizes @ slopes[run] - stakes[run]
+    return Check(gains, stakes)
 
 
 def _cost(data: Data, hypothesis: Hypothesis, residual: Array) -> float:

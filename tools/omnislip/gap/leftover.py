@@ -4,9 +4,9 @@ A missing term is a force, moment or torque that depends on the state. Along the
 the final model every term of a small dictionary (equation x wheel pattern x dependence) is a known
 function of time; what it would do to the innovations is linear in its size (`whitened_response` in
 rows.py derives it); a term of a sensor is added to what it shows. Each term is tested like an
-effect: gain T over what the fitted parameters leave, inflation by block sums, and the gain on
-validation runs. A term that passes says where something is missing and on what it depends, not
-what it is.
+effect: gain T over what the fitted parameters leave, inflation by block sums, and the gain on each
+run by the size that fits the others. A term that passes says where something is missing and on what
+it depends, not what it is.
 """
 
 from collections.abc import Callable, Sequence
@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import chi2
 
-from omnislip.gap.inference import Data, Fit, absorbed, inflation_of, linearise
+from omnislip.gap.inference import Data, Fit, check_columns, free_of_fitted, inflation_of
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import track_all
 from omnislip.gap.recordings import Run
@@ -26,7 +26,6 @@ Array = npt.NDArray[np.float64]
 
 P_VALUE = 1e-6
 """Over all terms. To say that no known effect is the cause takes more than to name one."""
-VALIDATION_SHARE = 0.75
 MOST_SHAPES = 5
 SHAFT_ORDERS = range(2, 13)
 SLOW_RAD_S = 2.0
@@ -93,19 +92,19 @@ def dictionary(machine: Machine) -> list[Term]:
     return terms
 
 
-def find_leftover(data: Data, checks: Data, fitted: Fit) -> list[Leftover]:
-    """Return the terms that pass, strongest first. `checks` are runs that were not fitted."""
-    return _passing(data, checks, fitted, dictionary(data.machine))
+def find_leftover(data: Data, fitted: Fit) -> list[Leftover]:
+    """Return the terms that pass, strongest first."""
+    return _passing(data, fitted, dictionary(data.machine))
 
 
-def find_shapes(data: Data, checks: Data, refit: Fit) -> list[Leftover]:
+def find_shapes(data: Data, refit: Fit) -> list[Leftover]:
     """Return what the gap of a model without its effects looks like: the best term per equation.
 
     To see, not to judge: terms that tell parity, order of the shaft, frame and null space apart.
     """
     best: dict[str, Leftover] = {}
     terms = [*dictionary(data.machine), *_patterns(data.machine)]
-    for found in _passing(data, checks, refit, terms):
+    for found in _passing(data, refit, terms):
         best.setdefault(found.equation, found)
     return list(best.values())[:MOST_SHAPES]
 
@@ -133,15 +132,9 @@ def _order_shapes(order: int) -> dict[str, Callable[..., Array]]:
     }
 
 
-def _passing(data: Data, checks: Data, fitted: Fit, terms: Sequence[Term]) -> list[Leftover]:
+def _passing(data: Data, fitted: Fit, terms: Sequence[Term]) -> list[Leftover]:
     values = fitted.hypothesis.flat(data.believed)
-    columns = _responses(data, values, terms)
-    check_columns = _responses(checks, values, terms)
-    check_residual = checks.residuals(values[None])[0]
-    taken = absorbed(fitted, columns / data.scale)
-    free = taken.rest(fitted.jacobian, columns / data.scale)
-    _, check_jacobian = linearise(checks, fitted.hypothesis)
-    free_checks = taken.rest(check_jacobian, check_columns / checks.scale)
+    free = free_of_fitted(fitted, _responses(data, values, terms) / data.scale)
     found = []
     for index, term in enumerate(terms):
         column = free[:, index : index + 1]
@@ -153,14 +146,10 @@ def _passing(data: Data, checks: Data, fitted: Fit, terms: Sequence[Term]) -> li
         after = fitted.residual + size * column[:, 0]
         inflation = inflation_of(data, column, after, information)
         p_value = float(chi2.sf(gain / inflation, 1)) * len(terms)
-        change = free_checks[:, index] * size
-        gains = np.array(
-            [
-                np.sum(r**2) - np.sum((r + c) ** 2)
-                for r, c in zip(checks.per_run(check_residual), checks.per_run(change), strict=True)
-            ]
-        )
-        if p_value < P_VALUE and gains.sum() > 0 and np.mean(gains > 0) >= VALIDATION_SHARE:
+        if p_value >= P_VALUE:
+            continue
+        check = check_columns(data, fitted.residual, column)
+        if check.helps:
             found.append(
                 Leftover(
                     term.equation,
@@ -168,7 +157,7 @@ def _passing(data: Data, checks: Data, fitted: Fit, terms: Sequence[Term]) -> li
                     gain,
                     inflation,
                     min(p_value, 1.0),
-                    float(gains.sum()),
+                    check.gain,
                 )
             )
     return sorted(found, key=lambda leftover: -leftover.gain)

@@ -113,12 +113,11 @@ def _shown(logs: Sequence[Path], folder: Path) -> str:
 
 def _split_lines(findings: Findings) -> list[str]:
     split = findings.split
-    counts = [len({r.name for r in runs}) for runs in (split.fitting, split.validation)]
+    fitted = len({run.name for run in split.fitting})
     held = list(dict.fromkeys(run.name for run in split.held_out))
     names = ", ".join(held) if len(held) <= 4 else f"{len(held)} of the runs"
     return [
-        f"Fitted on {counts[0]} runs, checked on {counts[1]}, held out: {names} ({split.how}). "
-        f"Verdict `{findings.verdict}`.",
+        f"Fitted on {fitted} runs, held out: {names} ({split.how}). Verdict `{findings.verdict}`.",
         "",
     ]
 
@@ -188,7 +187,7 @@ def _left_lines(findings: Findings) -> list[str]:
     """Where the final model still fails, and the nameless terms that would help."""
     machine, split = findings.machine, findings.split
     after = findings.outcome.final.hypothesis.flat(machine.believed)
-    runs = [*split.fitting, *split.validation]
+    runs = split.fitting
     places = describe(runs, map_gap(machine, runs, findings.outcome.data.noise, after, None))
     left = findings.table.left
     lines = [
@@ -592,7 +591,7 @@ def closed_loop_errors(machine: Machine, values: Array, records: Sequence[Record
 def _optiodom_extra(findings: Findings, data: Path) -> list[str]:
     split = findings.split
     held = split.held_out
-    every = [*split.fitting, *split.validation, *held]
+    every = [*split.fitting, *held]
     calibrated = _calibrated(findings)
     lines = [
         "The authors' metric: largest position error of dead reckoning over a whole run, the "
@@ -678,7 +677,7 @@ def _clock_lines(findings: Findings) -> list[str]:
         if model.effects[index] in clocks:
             model = model.without(index)
     series: dict[str, list[Run]] = {}
-    for run in (*split.fitting, *split.validation, *split.held_out):
+    for run in (*split.fitting, *split.held_out):
         series.setdefault(run.name.rsplit("_", 1)[0], []).append(run)
     lines = [
         "The clocks, fitted to every series alone beside the other effects of the final model:",

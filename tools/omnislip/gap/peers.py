@@ -47,9 +47,8 @@ def plain_refit(findings: Findings) -> tuple[Peer, Array]:
     """Fit the believed keys, each free by 90 %; returns also the parameter set."""
     split, given = findings.split, findings.machine
     machine = Machine(replace(given.model, tolerance={"default": FREE}))
-    runs = [*split.fitting, *split.validation]
     noise = findings.outcome.data.noise
-    _, fitted = settle(machine, runs, believed_hypothesis(machine), noise)
+    _, fitted = settle(machine, split.fitting, believed_hypothesis(machine), noise)
     values = fitted.hypothesis.flat(machine.believed)
     rmse = channel_rmse(replay_all(machine, split.held_out, noise, [values]))
     moved = [
@@ -69,7 +68,8 @@ def sparse_terms(findings: Findings) -> Peer:
     split, machine = findings.split, findings.machine
     believed = machine.believed
     refit = findings.outcome.ladder[0].hypothesis.flat(believed)
-    library = [_library(machine, run) for run in split.fitting]
+    checking = [run for run in split.fitting if run.unit == split.fitting[-1].unit]
+    library = [_library(machine, run) for run in split.fitting if run.unit != checking[0].unit]
     terms = np.concatenate([part[0] for part in library])
     target = np.concatenate([part[1] - _known(machine, refit, part[2]) for part in library])
     scale = np.maximum(np.std(terms, axis=0), 1e-12)
@@ -78,7 +78,7 @@ def sparse_terms(findings: Findings) -> Peer:
     for threshold in THRESHOLDS * np.std(target):
         optimizer = STLSQ(threshold=threshold, alpha=1e-6)
         weights = np.ravel(optimizer.fit(terms / scale, target[:, None]).coef_) / scale
-        error = _replay_rmse(findings, split.validation, refit, weights)
+        error = _replay_rmse(findings, checking, refit, weights)
         if error < best_error:
             best, best_error = weights, error
     kept = [name for name, weight in zip(TERMS, best, strict=True) if weight != 0]

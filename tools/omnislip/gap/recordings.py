@@ -46,6 +46,8 @@ class Run:
     recording: _core.Recording
     off: npt.NDArray[np.bool_] | None = None
     """Rows (rows,) in which the drive of an axis is switched off; `command` is 0 there."""
+    unit: str = ""
+    """Runs of a unit have things in common by chance: they are left out together."""
 
     @property
     def duration_s(self) -> float:
@@ -75,7 +77,9 @@ def make_run(machine: Machine, log: Log, begin: int = 0, end: int | None = None)
     recording = machine.engine.recording(t_s, command, outputs, state)
     # The engine reads a blank command as "drive off"; for everybody else that is no command.
     off = np.isnan(command[:, 0])
-    return Run(log.name, t_s, np.nan_to_num(command), outputs, channels, scale, recording, off)
+    return Run(
+        log.name, t_s, np.nan_to_num(command), outputs, channels, scale, recording, off, log.name
+    )
 
 
 def _odometry_run(machine: Machine, log: Log, rows: slice, t_s: Array) -> Run:
@@ -93,7 +97,7 @@ def _odometry_run(machine: Machine, log: Log, rows: slice, t_s: Array) -> Run:
     padded = np.zeros((len(t_s), machine.engine.motors))
     padded[:, : machine.wheels] = rates
     recording = machine.engine.recording(t_s, padded, pose, first)
-    return Run(log.name, t_s, rates, pose, ODOMETRY_CHANNELS, np.ones(3), recording)
+    return Run(log.name, t_s, rates, pose, ODOMETRY_CHANNELS, np.ones(3), recording, unit=log.name)
 
 
 def machine_for(model: Model, logs: Sequence[Log]) -> Machine:

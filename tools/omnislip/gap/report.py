@@ -262,7 +262,7 @@ def _where(findings: Findings) -> Json | None:
     if findings.machine.kind == "robot":
         angles = findings.machine.model.values["robot.wheel_angles_deg"]
         robot = report_pictures.robot_picture(angles, gap_map.shares[:7])
-    runs = [run.name for run in (*findings.split.fitting, *findings.split.validation)]
+    runs = [run.name for run in findings.split.fitting]
     equations = [EQUATIONS[equation] for equation in gap_map.equations]
     return {
         "places": [

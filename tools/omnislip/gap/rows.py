@@ -1,18 +1,23 @@
 """What the rows of a log hide: how the command moved within them, and with what.
 
 A log at 200 Hz holds the mean command of every row. A controller at 1 kHz moves it within the row,
-and partly in answer to what disturbs the wheels in that row. Three consequences are systematic,
+and partly in answer to what disturbs the wheels in that row. Four consequences are systematic,
 not noise, and would pass for lags, friction or inductance. None can be measured; each is a column
 by which the innovations may be off, its size free within a normal prior:
 
     feedback   the controller takes speed away that a disturbance gave within the row. What is new
                in a row's command (less its prediction from the rows before, outliers clipped) comes
                with a disturbance that it answers: at most one that cancels it, so the prior's
-               deviation is 1; one column if it ends with the row, one if it lasts. Only where the
-               command follows the innovations: a log in closed loop.
+               deviation is 1; a column for that row and for each of the next two. (One column for
+               all that follows, fading like the filter's disturbances, draws keys by four of their
+               deviations.) Only where the command follows the innovations: a log in closed loop.
     rounding   such a controller reads rounded counts and answers the rounding too: what is new in a
                row's command comes with an error of the encoder at the row's end. Deviation that of
                a count, 1 / sqrt(12), where the command is one deviation off what was expected.
+    trend      a command that rises evenly by s in a row of length h gives the shaft the speed that
+               its mean gives, but h^2 s / 12 of acceleration less way: as if it came a twelfth of
+               a row late. Deviation 1 of that, s from the row before; a command that is held from
+               row to row has none. (From the row after too, s would hold the answer to this row.)
     begin      a current is measured at the row's begin, where a command that moves evenly is half
                way between the means of both rows, a command that is held at its own mean.
                Deviation 1 of this half way.
@@ -34,45 +39,50 @@ from omnislip.gap.recordings import Run
 
 Array = npt.NDArray[np.float64]
 
-FOLLOWS = 0.01
-"""Share of what is new in a command that innovations must explain for a closed loop."""
+FOLLOWS = 0.002
+"""Share of what is new in a command that innovations must explain for a closed loop, in rows where
+the command hardly changes: elsewhere a model that is a little off gives as much in open loop."""
+BEYOND_CHANCE = 4.0
+"""Times what chance explains of so many rows (F of PAST and very many: once in 1000)."""
+CALM = 1.0
+"""Changes of a command in such rows, in their deviations."""
 PAST = 6
 """Rows from which a command is predicted."""
 CLIP = 3.0
-# Columns: a disturbance that ends with the row, one that lasts, begin and rounding.
-SPEED, LASTING, BEGIN, ROUNDING = range(4)
+ANSWERED_ROWS = 3
+# Columns: disturbances in the row of the answer and after it, rounding, trend and begin.
+ROUNDING, TREND, BEGIN = range(ANSWERED_ROWS, ANSWERED_ROWS + 3)
+COLUMNS = BEGIN + 1
 
 
 def hidden_columns(machine: Machine, runs: Sequence[Run], tracks: Sequence[_core.Track]) -> Array:
     """Return whitened columns (all rows * outputs, columns) of `tracks` that kept their matrices.
 
-    No column for machines other than robots, and for logs in open loop without currents.
+    No column for machines other than robots.
     """
     outputs = machine.engine.outputs
-    none = np.zeros((sum(len(run.t_s) for run in runs) * outputs, 0))
     if machine.kind != "robot":
-        return none
+        return np.zeros((sum(len(run.t_s) for run in runs) * outputs, 0))
     news, follows = _news(machine, runs, tracks)
-    if not (follows or machine.electric):
-        return none
+    full_rad_s2 = stall_acceleration_rad_s2(machine)
     found = []
     for run, track, new in zip(runs, tracks, news, strict=True):
         rows = len(run.t_s)
-        push = np.zeros((rows, machine.engine.filter_states, 4))
-        shown = np.zeros((rows, outputs, 4))
+        push = np.zeros((rows, machine.engine.filter_states, COLUMNS))
+        shown = np.zeros((rows, outputs, COLUMNS))
+        change = np.diff(run.command, axis=0, prepend=run.command[:1])
+        push[:-1, 4:8, TREND] = -full_rad_s2 * change[:-1] * np.diff(run.t_s)[:, None] / 12.0
         if follows:
-            answered_rad_s2 = stall_acceleration_rad_s2(machine) * new
-            push[:, :4, SPEED] = answered_rad_s2
-            lasting = slice(machine.engine.states, machine.engine.states + 4)
-            push[:-1, lasting, LASTING] = answered_rad_s2[:-1] / np.diff(run.t_s)[:, None]
+            for late in range(ANSWERED_ROWS):
+                push[late:, :4, late] = full_rad_s2 * new[: rows - late]
             shown[1:, :4, ROUNDING] = (
                 new[:-1] / max(_spread(new), 1e-12) * count_rad(machine) / np.sqrt(12.0)
             )
         if machine.electric:
-            change = np.diff(run.command, axis=0, prepend=run.command[:1])
             shown[:, CURRENT, BEGIN] = -0.5 * stall_current_a(machine) * change
         shown[np.isnan(run.outputs)] = 0.0
-        found.append(whitened_response(machine, run, track, push, shown).reshape(-1, 4))
+        response = whitened_response(machine, run, track, push, shown)
+        found.append(response.reshape(-1, COLUMNS))
     columns = np.concatenate(found)
     return columns[:, np.any(columns != 0.0, axis=0)]
 
@@ -136,11 +146,14 @@ def _news(
         now.append(command[PAST:].ravel())
     x, y = np.concatenate(past), np.concatenate(now)
     scale = np.maximum(x.std(axis=0), 1e-12)
-    moderate = np.abs(y - x[:, 0]) <= CLIP * max(_spread(y - x[:, 0]), 1e-9)
-    left = [_rest(x[moderate][:, :n] / scale[:n], y[moderate]) for n in (PAST, 2 * PAST)]
-    energies = [float(r @ r) for r, _ in left]
-    follows = energies[1] < (1.0 - FOLLOWS) * energies[0]
-    weights = left[1][1] / scale
+    steps = np.abs(y - x[:, 0]) / max(_spread(y - x[:, 0]), 1e-9)
+    calm, moderate = steps <= CALM, steps <= CLIP
+    unpredicted, _ = _rest(x[calm, :PAST] / scale[:PAST], y[calm])
+    limit = CLIP * _spread(x[calm, PAST:])
+    unexplained, _ = _rest(np.clip(x[calm, PAST:], -limit, limit), unpredicted)
+    share = 1.0 - (unexplained @ unexplained) / max(unpredicted @ unpredicted, 1e-300)
+    follows = share > max(FOLLOWS, BEYOND_CHANCE * PAST / len(unpredicted))
+    weights = _rest(x[moderate] / scale, y[moderate])[1] / scale
     news = []
     for run, own, target in zip(runs, past, now, strict=True):
         new = (target - own @ weights).reshape(-1, machine.engine.motors)
@@ -148,7 +161,7 @@ def _news(
         padded = np.zeros(run.command.shape)
         padded[PAST:] = np.clip(new, -limit, limit)
         news.append(padded)
-    return news, follows
+    return news, bool(follows)
 
 
 def _rest(x: Array, y: Array) -> tuple[Array, Array]:

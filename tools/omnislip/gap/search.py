@@ -4,8 +4,9 @@ Each step screens the whole catalogue with secants (one batch), refits the most 
 candidates fully, and takes the best one if all of these hold:
 
     chance       p-value of its gain, times the number of things tried, below `ALPHA`
-    validation   on runs that were not fitted the gain is positive in sum, and in 3 of 4 runs or
-                 beyond its scatter from run to run; free replays of them come nearer, too
+    validation   on each run, by sizes that were fitted to the others, the gain is positive in sum,
+                 and in 3 of 4 runs or beyond its scatter from run to run; free replays come nearer,
+                 too (leave one out; the linear step that takes a run out of a fit is nearly exact)
     size         at least `LEAST_SHARE` of all that effects have gained so far
 
 The base keys are refitted with every candidate, because they absorb much of most effects. After a
@@ -20,16 +21,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 from scipy.stats import chi2
-from scipy.stats import t as student
 
 from omnislip.gap.inference import (
+    Check,
     Data,
     Evidence,
     Fit,
     Hypothesis,
+    check_unseen,
     costs_refitted,
     fit,
     fit_more,
+    fitted_without_each_unit,
     free_of_fitted,
     inflation_of,
     weigh,
@@ -60,10 +63,7 @@ EQUAL = 1.0
 """Gains that differ by less are the same."""
 CONVERGED = 0.05
 """Share of a candidate's gain that refitting without it may find."""
-VALIDATION_SHARE = 0.75
-SCATTER_P_VALUE = 0.01
 SHORTEST_LAG_ROWS = 0.1
-MOST_ERROR = 8.0
 HOPEFUL_GAIN = 200.0
 """Gain beyond chance of a refused effect that no chance gives: something is there, though not alone
 under this name. From there it is worth looking one step ahead."""
@@ -113,7 +113,7 @@ class Outcome:
     base: Fit
     final: Fit
     ladder: tuple[Fit, ...]
-    """Refits on all runs but the held-out ones: base, with the first effect, the first two, ..."""
+    """Refits: base, with the first effect, the first two, ..."""
     selected: tuple[Selected, ...]
     trials: tuple[Trial, ...]
     leftover: tuple[Leftover, ...]
@@ -135,16 +135,15 @@ class Screened:
 
 def search(
     machine: Machine,
-    fitting: Sequence[Run],
-    validation: Sequence[Run],
+    runs: Sequence[Run],
     noise: Noise | None,
     progress: Progress,
 ) -> Outcome:
-    """Find the missing effects on `fitting` and `validation` runs, from a first `noise` or none."""
-    candidates = [*machine.candidates(), *machine.floor_candidates(fitting)]
+    """Find the missing effects on runs of two units or more, from a first `noise` or none."""
+    candidates = [*machine.candidates(), *machine.floor_candidates(runs)]
     tried = sum(len(candidate.starts) for candidate in candidates)
     progress("fitting the believed model")
-    data, base = settle(machine, fitting, believed_hypothesis(machine), noise)
+    data, base = settle(machine, runs, believed_hypothesis(machine), noise)
     base_values = base.hypothesis
     current, trials, gained = base, [], 0.0
     limits = None
@@ -154,13 +153,12 @@ def search(
         screened = screen(data, current, candidates)
         if limits is None:
             limits = {s.candidate.name: _limit(machine, s) for s in screened}
-        checks = Data(machine, validation, data.noise, current.hypothesis.flat(machine.believed))
         worth = [s for s in screened[:REFITS] if s.promise > LEAST_PROMISE]
-        found = _try(data, checks, current, worth, step, tried, gained, progress)
+        found = _try(data, current, worth, step, tried, gained, progress)
         trials += [trial for trial, _ in found]
         accepted = next((fitted for trial, fitted in found if trial.accepted), None)
         if accepted is None and len(current.hypothesis.effects) + 2 <= MOST_EFFECTS:
-            ahead = _Ahead(data, checks, current, candidates, step, tried, gained, progress)
+            ahead = _Ahead(data, current, candidates, step, tried, gained, progress)
             pair = ahead.best_pair(found)
             trials += ahead.trials
             if pair is not None:
@@ -178,17 +176,16 @@ def search(
         for fresh in accepted.hypothesis.effects[len(current.hypothesis.effects) :]:
             neighbours[fresh.name] = [s.candidate for s in screened[:NEIGHBOURS]]
             candidates = [c for c in candidates if c.name != fresh.name]
-        data, current = settle(machine, fitting, accepted.hypothesis, data.noise)
+        data, current = settle(machine, runs, accepted.hypothesis, data.noise)
         current = _patch_again(data, _extend(machine, data, current))
         current = _drop_needless(data, current, tried)
         current = _swap(data, current, neighbours, progress)
         if len(current.hypothesis.effects) == MOST_EFFECTS:
             break
     progress("looking for what no effect explains")
-    checks = Data(machine, validation, data.noise, current.hypothesis.flat(machine.believed))
-    leftover = find_leftover(data, checks, current)
-    progress("fitting the final model on all runs but the held-out ones")
-    data, final = settle(machine, [*fitting, *validation], current.hypothesis, data.noise)
+    leftover = find_leftover(data, current)
+    progress("fitting the final model")
+    data, final = settle(machine, runs, current.hypothesis, data.noise)
     final = _drop_needless(data, _extend(machine, data, final), tried)
     ladder = _ladder(data, base_values, final)
     selected = _compare_rivals(data, final, neighbours, progress)
@@ -428,7 +425,6 @@ def _edge_moved(
 
 def _try(
     data: Data,
-    checks: Data,
     current: Fit,
     screened: Sequence[Screened],
     step: int,
@@ -443,16 +439,16 @@ def _try(
     for one, fitted in zip(screened, _refit(data, current, screened), strict=True):
         results.append((one.candidate, fitted, weigh(data, current, fitted, index)))
     results = _simplest_first(results)
+    checks = check_unseen(data, current, [fitted for _, fitted, _ in results])
     found: list[tuple[Trial, Fit]] = []
-    for candidate, fitted, evidence in results:
-        gains = _validation_gains(checks, current.hypothesis, fitted.hypothesis)
+    for (candidate, fitted, evidence), check in zip(results, checks, strict=True):
         values = fitted.hypothesis.values_of(len(current.hypothesis.effects))
         absent = _neutral(candidate, data.machine, {})
         chance = min(1.0, evidence.p_value * tried)
-        reason, passed = _verdict(evidence, chance, gains, gained)
+        reason, passed = _verdict(evidence, chance, check, gained)
         if passed and not _differs(candidate, values - absent, evidence):
             reason, passed = "its size cannot be told from none beside the other parameters", False
-        if passed and not _replays_better(checks, current.hypothesis, fitted.hypothesis):
+        if passed and not _replays_better(data, current, fitted):
             reason, passed = (
                 "helps the predictor but not replays of runs that were not fitted",
                 False,
@@ -462,8 +458,7 @@ def _try(
         taken = next((trial for trial, _ in found if trial.accepted), None)
         if passed and taken:
             reason, passed = f"explains less than {taken.candidate.name}", False
-        gain = float(np.sum(gains))
-        trial = Trial(step, candidate, values, evidence, chance, gain, reason, passed)
+        trial = Trial(step, candidate, values, evidence, chance, check.gain, reason, passed)
         found.append((trial, fitted))
     return found
 
@@ -488,7 +483,6 @@ class _Ahead:
     def __init__(
         self,
         data: Data,
-        checks: Data,
         current: Fit,
         candidates: Sequence[Candidate],
         step: int,
@@ -496,7 +490,7 @@ class _Ahead:
         gained: float,
         progress: Progress,
     ) -> None:
-        self._data, self._checks, self._current = data, checks, current
+        self._data, self._current = data, current
         self._candidates, self._step, self._tried = candidates, step, tried
         self._gained, self._progress = gained, progress
         self.trials: list[Trial] = []
@@ -526,12 +520,10 @@ class _Ahead:
         machine, noise = self._data.machine, self._data.noise
         self._progress(f"step {self._step}: looking ahead from {candidate.name}")
         data, first = settle(machine, self._data.runs, fitted.hypothesis, noise)
-        flat = first.hypothesis.flat(machine.believed)
-        checks = Data(machine, self._checks.runs, data.noise, flat)
         others = [c for c in self._candidates if c.name != candidate.name]
         worth = [s for s in screen(data, first, others)[:BEAM_REFITS] if s.promise > LEAST_PROMISE]
         tried = self._tried * BEAM * BEAM
-        found = _try(data, checks, first, worth, self._step, tried, self._gained, self._progress)
+        found = _try(data, first, worth, self._step, tried, self._gained, self._progress)
         found = [(_looked_at(trial, candidate), fitted) for trial, fitted in found]
         self.trials += [trial for trial, _ in found]
         found.sort(key=lambda pair: -pair[0].evidence.gain / pair[0].evidence.inflation)
@@ -540,7 +532,7 @@ class _Ahead:
             _Pair(data, without, _patch_again(data, fit(data, second.hypothesis)), candidate, trial)
             for trial, second in found[:BEAM]
         ]
-        return [pair for pair in pairs if _both_pass(pair, checks, tried)]
+        return [pair for pair in pairs if _both_pass(pair, tried)]
 
 
 def _looked_at(trial: Trial, first: Candidate) -> Trial:
@@ -548,13 +540,13 @@ def _looked_at(trial: Trial, first: Candidate) -> Trial:
     return replace(trial, accepted=False, reason=f"beside {first.name}: {trial.reason}")
 
 
-def _both_pass(pair: _Pair, checks: Data, tried: int) -> bool:
+def _both_pass(pair: _Pair, tried: int) -> bool:
     """Whether two effects together help runs that were not fitted, and none of them is chance."""
-    base, both = pair.without.hypothesis, pair.fitted.hypothesis
-    gains = _validation_gains(checks, base, both)
-    if np.sum(gains) <= 0 or not helps_most(gains) or not _replays_better(checks, base, both):
+    [check] = check_unseen(pair.data, pair.without, [pair.fitted])
+    if not check.helps or not _replays_better(pair.data, pair.without, pair.fitted):
         return False
-    count = len(base.effects)
+    both = pair.fitted.hypothesis
+    count = len(pair.without.hypothesis.effects)
     for index in (count, count + 1):
         alone = fit(pair.data, both.without(index))
         if weigh(pair.data, alone, pair.fitted, index).p_value * tried >= ALPHA:
@@ -614,50 +606,30 @@ def _no_more_than_chance(gain: float, inflation: float, parameters: int) -> bool
     return gain / inflation < chi2.isf(1e-3, parameters)
 
 
-def _validation_gains(checks: Data, without: Hypothesis, with_effect: Hypothesis) -> Array:
-    """Fall of the squared prediction error in each validation run.
-
-    An error counts up to `MOST_ERROR` standard deviations: where wheels spin out, a model that is
-    nearly right may be further off in a few rows than one that never lets them spin.
-    """
-    flats = np.stack([without.flat(checks.believed), with_effect.flat(checks.believed)])
-    residuals = np.clip(checks.residuals(flats), -MOST_ERROR, MOST_ERROR)
-    before, after = (checks.per_run(r) for r in residuals)
-    return np.array([np.sum(b**2) - np.sum(a**2) for b, a in zip(before, after, strict=True)])
-
-
-def _replays_better(checks: Data, without: Hypothesis, with_effect: Hypothesis) -> bool:
-    """Whether free replays of the validation runs come nearer to the logs.
+def _replays_better(data: Data, without: Fit, with_effect: Fit) -> bool:
+    """Whether free replays of runs come nearer to the logs, by sizes fitted without their units.
 
     What helps the predictor only, row by row, describes chance and not the robot.
     """
-    sets = [one.flat(checks.believed) for one in (without, with_effect)]
-    return improvement(replay_all(checks.machine, checks.runs, checks.noise, sets)) > 0
+    sets = [fitted_without_each_unit(data, one) for one in (without, with_effect)]
+    replays = []
+    for unit in range(len(sets[0])):
+        runs = [data.runs[k] for k in np.flatnonzero(data.units == unit)]
+        replays += replay_all(data.machine, runs, data.noise, [one[unit] for one in sets])
+    return improvement(replays) > 0
 
 
-def _verdict(evidence: Evidence, chance: float, gains: Array, gained: float) -> tuple[str, bool]:
+def _verdict(evidence: Evidence, chance: float, check: Check, gained: float) -> tuple[str, bool]:
     if chance >= ALPHA:
         return f"could be chance (p = {chance:.2g} over everything tried)", False
-    if np.sum(gains) <= 0:
+    if check.gain <= 0:
         return "makes runs worse that were not fitted", False
-    if not helps_most(gains):
-        helped = int(np.sum(gains > 0))
-        return f"helps only {helped} of {len(gains)} runs that were not fitted", False
+    if not check.helps:
+        voters = int(np.sum(check.voters))
+        return f"helps only {check.helped} of {voters} runs that were not fitted", False
     if evidence.gain < LEAST_SHARE * gained:
         return "real perhaps, but under 1 % of what was found", False
     return "explains more than any other effect", True
-
-
-def helps_most(gains: Array) -> bool:
-    """Whether 3 of 4 runs gain or the mean gain is beyond the scatter from run to run (t-test).
-
-    The second is for many runs of which some hardly excite the effect: their gain is nearly 0, of
-    either sign, and should not outvote the others.
-    """
-    if np.mean(gains > 0) >= VALIDATION_SHARE:
-        return True
-    error = np.std(gains, ddof=1) / np.sqrt(len(gains)) if len(gains) > 1 else np.inf
-    return bool(np.mean(gains) > error * student.isf(SCATTER_P_VALUE, max(len(gains) - 1, 1)))
 
 
 def _within_row(data: Data, candidate: Candidate, sizes: Array) -> bool:

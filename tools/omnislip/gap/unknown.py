@@ -3,9 +3,10 @@
 The force that is missing in one equation is taken for any function of one quantity q: straight
 between some knots, f(q) = sum_j f_j hat_j(q). What a unit of each f_j does to the whitened
 innovations is linear (rows.py), so the f_j follow by least squares beside the fitted parameters,
-with their covariance. Every pair of equation and quantity is tried; the one that explains most of
-runs that were not fitted is shown. A regular beat in time is looked for in the spectrum of the
-filter's disturbances and then fitted as a wave, alone or in proportion to the command.
+with their covariance. Every pair of equation and quantity is tried; the one that explains most, of
+each run by the curve that fits the others, is shown. A regular beat in time is looked for in the
+spectrum of the filter's disturbances and then fitted as a wave, alone or in proportion to the
+command.
 
 A short formula for the curve is a hypothesis for people to judge: the one or two shapes of a list
 with the smallest BIC.
@@ -19,12 +20,12 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import chi2
 
-from omnislip.gap.inference import Absorbed, Data, Fit, absorbed, fit, inflation_of, linearise
+from omnislip.gap.inference import Data, Fit, check_columns, free_of_fitted, inflation_of
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import track_all
 from omnislip.gap.recordings import Run
 from omnislip.gap.rows import whitened_response
-from omnislip.gap.search import Outcome, helps_most
+from omnislip.gap.search import Outcome
 
 Array = npt.NDArray[np.float64]
 
@@ -109,37 +110,25 @@ class Curve:
     p_value: float
     validation_gain: float
     helps: bool
-    """Whether most of the runs that were not fitted gain."""
+    """Whether most of the runs gain by the curve that fits the others."""
 
 
-def describe_unknown(
-    outcome: Outcome, fitting: Sequence[Run], validation: Sequence[Run]
-) -> Unknown | None:
-    """Return what explains most of the validation runs, or None if nothing helps them."""
-    machine, noise = outcome.data.machine, outcome.data.noise
-    hypothesis = outcome.final.hypothesis
-    values = hypothesis.flat(machine.believed)
-    data = Data(machine, fitting, noise, values)
-    checks = Data(machine, validation, noise, values)
-    study = _Study(data, checks, fit(data, hypothesis, iterations=0), values)
-    tried = list(study.all_pairs(equations(machine, values)))
+def describe_unknown(outcome: Outcome) -> Unknown | None:
+    """Return what explains most, or None if nothing helps runs that were not fitted."""
+    values = outcome.final.hypothesis.flat(outcome.data.believed)
+    study = _Study(outcome.data, outcome.final, values)
+    tried = list(study.all_pairs(equations(outcome.data.machine, values)))
     passed = [one for one in tried if one.p_value * len(tried) < P_VALUE and one.helps]
     best = max(passed, key=lambda one: one.validation_gain, default=None)
     return _put_together(best) if best is not None else None
 
 
 class _Study:
-    """Fits curves to what a model leaves of `data`, and applies them to `checks`."""
+    """Fits curves to what a model leaves of the data."""
 
-    def __init__(self, data: Data, checks: Data, fitted: Fit, values: Array) -> None:
-        self._fitted = fitted
-        self._sides = (data, checks)
-        self._tracks = [
-            track_all(side.machine, side.runs, values, side.noise, keep_linear=True)
-            for side in self._sides
-        ]
-        self._residual = checks.residuals(values[None])[0]
-        _, self._check_jacobian = linearise(checks, fitted.hypothesis)
+    def __init__(self, data: Data, fitted: Fit, values: Array) -> None:
+        self._data, self._fitted = data, fitted
+        self._tracks = track_all(data.machine, data.runs, values, data.noise, keep_linear=True)
 
     def all_pairs(self, found: Sequence[Equation]) -> Iterator[Curve]:
         """Every quantity in every equation; wheels also all together, with the same curve."""
@@ -155,45 +144,28 @@ class _Study:
         knots = self._knots(members, quantity)
         if knots is None:
             return
-        columns = [
-            [self._columns(side, one, quantity, knots) for side in (0, 1)] for one in members
-        ]
+        columns = [self._columns(one, quantity, knots) for one in members]
         alone = [(one.name, one, own) for one, own in zip(members, columns, strict=True)]
         if len(members) > 1:
-            together = [sum(own[side] for own in columns) for side in (0, 1)]
-            alone.append((_every(members[0].name), members[0], together))
-        for name, equation, (fitted, checked) in alone:
-            tried = self._fit(name, equation, quantity, knots, fitted, checked)
+            alone.append((_every(members[0].name), members[0], sum(columns)))
+        for name, equation, own in alone:
+            tried = self._fit(name, equation, quantity, knots, own)
             if tried is not None:
                 yield tried
 
     def _fit(
-        self,
-        name: str,
-        equation: Equation,
-        quantity: Quantity,
-        knots: Array,
-        columns: Array,
-        check_columns: Array,
+        self, name: str, equation: Equation, quantity: Quantity, knots: Array, columns: Array
     ) -> Curve | None:
         """Least squares of the sizes beside the fitted parameters."""
-        data, checks = self._sides
-        taken: Absorbed = absorbed(self._fitted, columns)
-        free = taken.rest(self._fitted.jacobian, columns)
+        free = free_of_fitted(self._fitted, columns)
         gram = free.T @ free
         if not np.trace(gram) > 0:
             return None
         inverse = np.linalg.pinv(gram, rcond=1e-9, hermitian=True)
         sizes = -inverse @ (free.T @ self._fitted.residual)
         after = self._fitted.residual + free @ sizes
-        inflation = inflation_of(data, free, after, gram)
-        change = taken.rest(self._check_jacobian, check_columns) @ sizes
-        gains = np.array(
-            [
-                np.sum(r**2) - np.sum((r + c) ** 2)
-                for r, c in zip(checks.per_run(self._residual), checks.per_run(change), strict=True)
-            ]
-        )
+        inflation = inflation_of(self._data, free, after, gram)
+        check = check_columns(self._data, self._fitted.residual, free)
         gain = float(sizes @ gram @ sizes)
         sign = -1.0 if equation.outputs else 1.0  # a sensor shows it, a state is pushed by it
         return Curve(
@@ -205,8 +177,8 @@ class _Study:
             equation.size**2 * inflation * inverse,
             gain,
             float(chi2.sf(gain / inflation, np.linalg.matrix_rank(gram, hermitian=True))),
-            float(gains.sum()),
-            bool(gains.sum() > 0 and helps_most(gains)),
+            check.gain,
+            check.helps,
         )
 
     def _knots(self, members: Sequence[Equation], quantity: Quantity) -> Array | None:
@@ -219,20 +191,20 @@ class _Study:
             [
                 quantity.of(state, run.command, run.t_s - run.t_s[0], one.motor)
                 for one in members
-                for run, state in self._states(0)
+                for run, state in self._states()
             ]
         )
         low, high = np.percentile(values, OUTER)
         return np.linspace(low, high, KNOTS) if high - low > 1e-9 else None
 
-    def _states(self, side: int) -> Iterator[tuple[Run, Array]]:
-        for run, track in zip(self._sides[side].runs, self._tracks[side], strict=True):
+    def _states(self) -> Iterator[tuple[Run, Array]]:
+        for run, track in zip(self._data.runs, self._tracks, strict=True):
             yield run, track.state.reshape(len(run.t_s), -1)
 
-    def _columns(self, side: int, equation: Equation, quantity: Quantity, knots: Array) -> Array:
+    def _columns(self, equation: Equation, quantity: Quantity, knots: Array) -> Array:
         """Whitened change of the innovations by a unit at each knot (m, knots)."""
-        data, found = self._sides[side], []
-        for (run, state), track in zip(self._states(side), self._tracks[side], strict=True):
+        data, found = self._data, []
+        for (run, state), track in zip(self._states(), self._tracks, strict=True):
             hats = _hats(quantity, knots, run, state, equation.motor)
             push = np.zeros((*state.shape, hats.shape[1]))
             shown = np.zeros((*run.outputs.shape, hats.shape[1]))
@@ -247,7 +219,7 @@ class _Study:
 
     def _waves(self, members: Sequence[Equation]) -> list[Quantity]:
         """Regular beats in the disturbances that the filter saw in these equations."""
-        if members[0].symbol != SHAFT_TORQUE or self._sides[0].machine.kind != "robot":
+        if members[0].symbol != SHAFT_TORQUE or self._data.machine.kind != "robot":
             return []
         found = []
         weights: dict[str, Callable[..., Array]] = {
@@ -271,7 +243,7 @@ class _Study:
         power = np.zeros(len(frequencies_hz))
         for one in members:
             total = np.zeros(len(frequencies_hz), dtype=complex)
-            for run, state in self._states(0):
+            for run, state in self._states():
                 seen = state[:, DISTURBANCES + one.motor]
                 turn = np.exp(-2j * np.pi * np.outer(frequencies_hz, run.t_s - run.t_s[0]))
                 own = weight(state, run.command, run.t_s, one.motor)
