@@ -9,7 +9,7 @@ from omnislip.model_file import NOMINAL_ROBOT, read_model
 from truth_bench import runs_of
 
 
-def shares_of(effects=(), runs=6):
+def shares_of(effects=(), runs=6, **changed):
     """Shares beside the believed model, its keys and the noise fitted."""
     machine = Machine(read_model(NOMINAL_ROBOT))
     case = TruthCase(
@@ -19,6 +19,7 @@ def shares_of(effects=(), runs=6):
         run_duration_s=4.0,
         base_offset_sd=0.0,
         sensors=("gyro", "pose"),
+        **changed,
     )
     logs = runs_of(machine, case)
     data, fitted = settle(machine, logs, believed_hypothesis(machine))
@@ -32,10 +33,17 @@ def test_chance_cannot_be_predicted():
     assert found[0].share < 0.05
 
 
-def test_a_force_of_no_catalogue_is_predicted_where_it_acts():
+def test_chance_that_a_controller_answers_cannot_be_predicted():
+    """At three times the usual noise, in smooth driving."""
+    found = shares_of(closed_loop=True, noise_level=3.0, excitation="ordinary")
+    assert found[0].share < 0.05
+
+
+@pytest.mark.parametrize("closed_loop", [False, True])
+def test_a_force_of_no_catalogue_is_predicted_where_it_acts(closed_loop):
     """8 N s2/m2 at right angles to the velocity act on the body, not on the wheels."""
     force = {"name": "lateral_speed_force", "parameters": {"coefficient_n_s2_m2": 8.0}}
-    found = shares_of((force,))
+    found = shares_of((force,), closed_loop=closed_loop)
     assert found[0].equation.startswith("body/")
     assert found[0].share > 0.2
     assert found[0].runs_helped > found[0].runs / 2

@@ -68,10 +68,9 @@ of this the search gives none."""
 UNKNOWN_SHARE = 0.03
 """A leftover term that gains more than this share of the named effects makes the verdict unknown:
 the names are right in place perhaps, but wrong in shape."""
-PREDICTED_SHARE = 0.2
+PREDICTED_SHARE = 0.15
 """Share of the filter's disturbances that other runs predict; where nothing is missing it is below
-0.1, in much noise and little motion up to 0.16 (one null of eighteen reached 0.28). More than half
-of the runs have to be helped: some hardly excite what is missing."""
+0.1. More than half of the runs have to be helped: some hardly excite what is missing."""
 EXPLAINED = 0.9
 LEAST_EXCESS = 0.5
 """Excess of the square error, in noise floors, that counts as something left."""

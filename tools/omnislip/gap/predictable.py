@@ -8,10 +8,12 @@ other runs that explains a share of them in runs it has not seen has found somet
 
     share = 1 - sum (d - d_predicted)^2 / sum d^2        over runs that were not learned from
 
-It is zero or below where only chance is left. No term has to be guessed beforehand, so this finds
-hysteresis, products and thresholds too; it does not say what they are (unknown.py tries to). Beside
-effects that explain nearly everything a small rest may well be predictable, for no shape is exact:
-then the share is one of `REST` of the disturbances without the effects, where that is more.
+It is zero or below where only chance is left. In a closed loop commands and speeds answer chance;
+there the prediction is from what was `ANSWERED_S` before, longer than chance lasts. No term has to
+be guessed beforehand, so this finds hysteresis, products and thresholds too; it does not say what
+they are (unknown.py tries to). Beside effects that explain nearly everything a small rest may well
+be predictable, for no shape is exact: then the share is one of `REST` of the disturbances without
+the effects, where that is more.
 """
 
 from collections.abc import Sequence
@@ -25,6 +27,7 @@ from omnislip import _core
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import Noise, track_all
 from omnislip.gap.recordings import Run
+from omnislip.gap.rows import commands_answer
 
 Array = npt.NDArray[np.float64]
 
@@ -39,6 +42,8 @@ ROW_S = 0.01
 """Disturbances last some 10 ms: rows nearer than that tell the same."""
 FOLDS = 4
 LEAST_RUNS = 3
+ANSWERED_S = 0.03
+"""Disturbances fade at 40 per second or faster (noise.py)."""
 REST = 0.2
 PAST_S = (0.005, 0.01, 0.02, 0.05)
 TREES = {"max_iter": 50, "learning_rate": 0.1, "max_leaf_nodes": 8, "min_samples_leaf": 40}
@@ -68,10 +73,14 @@ def predictable_shares(
         return []
     features, targets, there, owners = [], [], [], []
     gear = float(machine.model.values["motor.gear_ratio"])
-    after, before = (_states(machine, runs, noise, model) for model in (values, without))
+    tracks = track_all(machine, runs, values, noise, keep_linear=True)
+    late_s = ANSWERED_S if commands_answer(machine, runs, tracks) else 0.0
+    after = _states(runs, tracks)
+    before = _states(runs, track_all(machine, runs, without, noise))
     for run, state, unexplained in zip(runs, after, before, strict=True):
         rows = _sparse_rows(run)
-        features.append(_features(run, state, gear)[rows])
+        seen = np.searchsorted(run.t_s, run.t_s[rows] - late_s)
+        features.append(_features(run, state, gear)[seen])
         targets.append(state[rows][:, DISTURBANCES])
         there.append(unexplained[rows][:, DISTURBANCES])
         owners.append(np.full(len(rows), names.index(run.name)))
@@ -93,9 +102,8 @@ def predictable_shares(
     return sorted(found, key=lambda one: -one.share)
 
 
-def _states(machine: Machine, runs: Sequence[Run], noise: Noise, values: Array) -> list[Array]:
+def _states(runs: Sequence[Run], tracks: Sequence[_core.Track]) -> list[Array]:
     """Filtered states (rows, states) of each run."""
-    tracks = track_all(machine, runs, values, noise)
     return [t.state.reshape(len(run.t_s), -1) for run, t in zip(runs, tracks, strict=True)]
 
 

@@ -87,6 +87,11 @@ def hidden_columns(machine: Machine, runs: Sequence[Run], tracks: Sequence[_core
     return columns[:, np.any(columns != 0.0, axis=0)]
 
 
+def commands_answer(machine: Machine, runs: Sequence[Run], tracks: Sequence[_core.Track]) -> bool:
+    """Return whether commands answer what disturbs the wheels: whether a loop is closed."""
+    return _news(machine, runs, tracks)[1]
+
+
 def whitened_response(
     machine: Machine, run: Run, track: _core.Track, push: Array, shown: Array
 ) -> Array:
