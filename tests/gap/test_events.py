@@ -24,8 +24,8 @@ def found_in(folder, push=None, **changed):
     machine = Machine(read_model(folder / "robot.toml"))
     logs = [read_log(path, "robot") for path in sorted(folder.glob("run_*.csv"))]
     runs = [make_run(machine, log) for log in logs]
-    noise, values = first_model(machine, runs)
-    return find_impacts(machine, runs, values, noise)
+    noise, model = first_model(machine, runs)
+    return find_impacts(machine, runs, model.flat(machine.believed), noise)
 
 
 @pytest.mark.parametrize("push", PUSHES)

@@ -171,14 +171,14 @@ def find_gap(
     known = split_runs(machine, logs, cuts)
     if not known.enough:
         return _insufficient(machine, logs, _too_cut(known), inputs)
-    noise, values = first_model(machine, known.fitting)
-    impacts = find_impacts(machine, runs, values, noise)
+    noise, first = first_model(machine, known.fitting)
+    impacts = find_impacts(machine, runs, first.flat(machine.believed), noise)
     for _ in range(2):  # again where a push shows only beside the final model
         pushes = cuts + [(impact.run, impact.time_s) for impact in impacts]
         split = split_runs(machine, logs, pushes)
         if not split.enough:
             return _insufficient(machine, logs, _too_cut(split), inputs)
-        outcome = search(machine, split.fitting, noise, progress)
+        outcome = search(machine, split.fitting, noise, progress, first.without_effects())
         progress("looking for impacts with the final model")
         values = outcome.final.hypothesis.flat(machine.believed)
         confirmed = find_impacts(machine, runs, values, outcome.data.noise)

@@ -78,6 +78,13 @@ class Hypothesis:
             values[list(parameter.places)] = number
         return values
 
+    def room(self) -> tuple[Array, Array]:
+        """Return how far each parameter may move down and up, in units of its scale."""
+        scale = np.array([p.scale for p in self.parameters])
+        low = np.array([p.low for p in self.parameters])
+        high = np.array([p.high for p in self.parameters])
+        return (low - self.x) / scale, (high - self.x) / scale
+
     def with_effect(self, candidate: Candidate, sizes: Sequence[float]) -> "Hypothesis":
         """Return this model with one more effect, its parameters at `sizes`."""
         return replace(self, effects=(*self.effects, candidate), x=np.concatenate([self.x, sizes]))
@@ -88,6 +95,10 @@ class Hypothesis:
         gone = range(first, first + len(self.effects[index].parameters))
         effects = self.effects[:index] + self.effects[index + 1 :]
         return replace(self, effects=effects, x=np.delete(self.x, list(gone)))
+
+    def without_effects(self) -> "Hypothesis":
+        """Return the believed keys alone."""
+        return replace(self, effects=(), x=self.x[: len(self.base)])
 
     def moved_last(self, index: int) -> "Hypothesis":
         """Return this model with its effect number `index` named last."""
@@ -119,6 +130,23 @@ class Fit:
     objective: float
     residual: Array
     jacobian: Array = field(repr=False)
+
+    def information(self) -> Array:
+        """Return half the second derivative of Q by the parameters in units of their scales."""
+        return _with_prior(self.jacobian.T @ self.jacobian, self.hypothesis)
+
+    def slope(self, believed: Array) -> Array:
+        """Return half the derivative of Q by the parameters in units of their scales."""
+        slope = self.jacobian.T @ self.residual
+        z = prior_penalty(self.hypothesis, believed, self.hypothesis.x)
+        slope[: len(z)] += z
+        return slope
+
+
+def _with_prior(gram: Array, hypothesis: Hypothesis) -> Array:
+    count = len(hypothesis.base)
+    gram[:count, :count] += np.eye(count)
+    return gram
 
 
 class Data:
@@ -232,17 +260,12 @@ def fit(data: Data, hypothesis: Hypothesis, iterations: int = 10) -> Fit:
     scale = np.array([p.scale for p in hypothesis.parameters])
     low = np.array([p.low for p in hypothesis.parameters])
     high = np.array([p.high for p in hypothesis.parameters])
-    count = len(hypothesis.base)
     current = hypothesis
     residual, jacobian = linearise(data, current)
     best = _cost(data, current, residual)
     for _ in range(iterations):
-        z = prior_penalty(current, data.believed, current.x)
-        gram = jacobian.T @ jacobian
-        gram[:count, :count] += np.eye(count)
-        slope = jacobian.T @ residual
-        slope[:count] += z
-        step = _solve_within(gram, slope, (low - current.x) / scale, (high - current.x) / scale)
+        here = Fit(current, best, residual, jacobian)
+        step = solve_within(here.information(), here.slope(data.believed), *current.room())
         rows = np.clip(current.x + np.outer(STEPS, step * scale), low, high)
         trials = [replace(current, x=row) for row in rows]
         found = data.residuals(np.stack([t.flat(data.believed) for t in trials]))
@@ -266,9 +289,7 @@ def fit_more(
     ranks them; the fit of a large effect is only near its optimum and `fit` goes on from it.
     """
     count = current.jacobian.shape[1]
-    base = len(current.hypothesis.base)
-    shared = current.jacobian.T @ current.jacobian
-    shared[:base, :base] += np.eye(base)
+    shared = current.information()
     models = list(starts)
     residuals = data.residuals(np.stack([m.flat(data.believed) for m in models]))
     costs = np.array([_cost(data, m, r) for m, r in zip(models, residuals, strict=True)])
@@ -307,15 +328,8 @@ def costs_refitted(data: Data, current: Fit, models: Sequence[Hypothesis]) -> Ar
 
     A start has to be judged so: the keys of a model without an effect have gone far to replace it.
     """
-    shared = current.jacobian.T @ current.jacobian
+    shared, room = current.information(), current.hypothesis.room()
     base = len(current.hypothesis.base)
-    shared[:base, :base] += np.eye(base)
-    count = current.jacobian.shape[1]
-    scale = np.array([p.scale for p in current.hypothesis.parameters])
-    low = (np.array([p.low for p in current.hypothesis.parameters]) - current.hypothesis.x) / scale
-    high = (
-        np.array([p.high for p in current.hypothesis.parameters]) - current.hypothesis.x
-    ) / scale
     costs = np.empty(len(models))
     for first in range(0, len(models), BATCH):
         batch = models[first : first + BATCH]
@@ -325,7 +339,7 @@ def costs_refitted(data: Data, current: Fit, models: Sequence[Hypothesis]) -> Ar
             z = prior_penalty(model, data.believed, model.x)
             slope = slopes[k]
             slope[:base] += z
-            step = _solve_within(shared, slope, low, high)[:count]
+            step = solve_within(shared, slope, *room)
             costs[first + k] = residual @ residual + z @ z + 2 * step @ slope + step @ shared @ step
     return costs
 
@@ -337,20 +351,14 @@ def fitted_without_each_unit(data: Data, fitted: Fit) -> Array:
     """
     hypothesis = fitted.hypothesis
     scale = np.array([p.scale for p in hypothesis.parameters])
-    low = (np.array([p.low for p in hypothesis.parameters]) - hypothesis.x) / scale
-    high = (np.array([p.high for p in hypothesis.parameters]) - hypothesis.x) / scale
-    count = len(hypothesis.base)
     parts = list(zip(data.per_run(fitted.jacobian), data.per_run(fitted.residual), strict=True))
-    gram = fitted.jacobian.T @ fitted.jacobian
-    gram[:count, :count] += np.eye(count)
-    slope = fitted.jacobian.T @ fitted.residual
-    slope[:count] += prior_penalty(hypothesis, data.believed, hypothesis.x)
+    gram, slope = fitted.information(), fitted.slope(data.believed)
     values = []
     for unit in range(int(data.units.max()) + 1):
         own = [parts[k] for k in np.flatnonzero(data.units == unit)]
         own_gram = sum(j.T @ j for j, _ in own)
         own_slope = sum(j.T @ r for j, r in own)
-        step = _solve_within(gram - own_gram, slope - own_slope, low, high)
+        step = solve_within(gram - own_gram, slope - own_slope, *hypothesis.room())
         values.append(hypothesis.flat(data.believed, hypothesis.x + step * scale))
     return np.stack(values)
 
@@ -480,13 +488,10 @@ def _shared_step(
     slope = np.concatenate([current.jacobian.T @ residual, own.T @ residual])
     base = len(model.base)
     slope[:base] += prior_penalty(model, data.believed, model.x)
-    scale = np.array([p.scale for p in model.parameters])
-    low = (np.array([p.low for p in model.parameters]) - model.x) / scale
-    high = (np.array([p.high for p in model.parameters]) - model.x) / scale
-    return _solve_within(gram, slope, low, high)
+    return solve_within(gram, slope, *model.room())
 
 
-def _solve_within(gram: Array, slope: Array, low: Array, high: Array) -> Array:
+def solve_within(gram: Array, slope: Array, low: Array, high: Array) -> Array:
     """Least-squares step within bounds from the normal matrix (columns are few).
 
     What nothing depends on, the edge of a patch that no run crosses, stays where it is.

@@ -121,24 +121,31 @@ def first_guess(machine: Machine, runs: Sequence[Run]) -> Noise:
 
 
 def tune_noise(
-    machine: Machine, runs: Sequence[Run], values: Array, start: "Noise | None" = None
+    machine: Machine,
+    runs: Sequence[Run],
+    values: Array,
+    start: "Noise | None" = None,
+    paths: int = PATHS,
 ) -> Noise:
     """Fit the variances on some 12 s of the runs by maximum likelihood.
 
     Fisher scoring in the logarithms, damped as by Levenberg and Marquardt, along the path of a
     filter, which is then followed again with the noise that was found.
-    `start` is a noise that was fitted before; from there few steps are enough.
+    `start` is a noise that was fitted before; from there few steps are enough. One of the `paths`
+    is enough where the model is fitted again afterwards.
     """
     chosen = _some_runs(runs)
     make, start_of = NOISES[machine.kind]
     guess = start_of(chosen)
     logs = trial = guess.logs if start is None else np.clip(start.logs, guess.low, guess.high)
     best = -np.inf
-    for _ in range(PATHS):
+    for left in reversed(range(paths + 1)):
         path = _Path(machine, chosen, values, lambda v: make(machine, v), guess, trial)
         if path.log_likelihood < best:  # too far from the path that it was linear along
             break
         best, logs = path.log_likelihood, trial
+        if not left:
+            break
         gained, trial = path.climb(logs)
         if gained < CONVERGED:
             break

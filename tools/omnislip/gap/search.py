@@ -35,6 +35,7 @@ from omnislip.gap.inference import (
     fitted_without_each_unit,
     free_of_fitted,
     inflation_of,
+    solve_within,
     weigh,
 )
 from omnislip.gap.leftover import Leftover, find_leftover
@@ -69,6 +70,8 @@ HOPEFUL_GAIN = 200.0
 under this name. From there it is worth looking one step ahead."""
 BEAM, BEAM_REFITS = 3, 6
 RESAMPLES, LEAST_RUNS_TO_RESAMPLE = 1000, 4
+MOST_TUNINGS, SETTLED = 6, 1.0
+"""Times that noise and model are fitted in turn; change of Q by what the fit moved that ends it."""
 PATCH_SCALES = (0.3, 0.5, 0.7, 0.9)
 EDGE_HALVINGS, EDGE_STEPS = 3, np.array([-1.0, 1.0])
 """An edge moves over a grid, then by halves, quarters and eighths of its spacing."""
@@ -138,12 +141,16 @@ def search(
     runs: Sequence[Run],
     noise: Noise | None,
     progress: Progress,
+    start: Hypothesis | None = None,
 ) -> Outcome:
-    """Find the missing effects on runs of two units or more, from a first `noise` or none."""
+    """Find the missing effects on runs of two units or more.
+
+    From a first `noise` and believed keys `start` that fit better than the file's, or none.
+    """
     candidates = [*machine.candidates(), *machine.floor_candidates(runs)]
     tried = sum(len(candidate.starts) for candidate in candidates)
     progress("fitting the believed model")
-    data, base = settle(machine, runs, believed_hypothesis(machine), noise)
+    data, base = settle(machine, runs, start or believed_hypothesis(machine), noise)
     base_values = base.hypothesis
     current, trials, gained = base, [], 0.0
     limits = None
@@ -200,8 +207,8 @@ def believed_hypothesis(machine: Machine) -> Hypothesis:
     return Hypothesis(base, (), np.array([machine.believed[p.places[0]] for p in base]))
 
 
-def first_model(machine: Machine, runs: Sequence[Run]) -> tuple[Noise, Array]:
-    """Return noise and flat values of a model that is near enough to see pushes beside it.
+def first_model(machine: Machine, runs: Sequence[Run]) -> tuple[Noise, Hypothesis]:
+    """Return noise and fit of a model that is near enough to see pushes beside it.
 
     The believed keys within their tolerance and a free friction curve: what is off in most robots.
     """
@@ -210,25 +217,27 @@ def first_model(machine: Machine, runs: Sequence[Run]) -> tuple[Noise, Array]:
     for candidate in curve:
         start = start.with_effect(candidate, [0.1])
     data, fitted = settle(machine, runs, start)
-    return data.noise, fitted.hypothesis.flat(machine.believed)
+    return data.noise, fitted.hypothesis
 
 
 def settle(
     machine: Machine, runs: Sequence[Run], start: Hypothesis, noise: Noise | None = None
 ) -> tuple[Data, Fit]:
-    """Tune the noise at `start`, fit, and once more from there: predictor and model agree.
+    """Tune the noise at `start` and fit, until predictor and model agree.
 
-    With a `noise` to start from, one tuning is enough.
+    Noise that was tuned for keys which are off gives others that are off in another way.
     """
     hypothesis = start
-    tunings = 2 if noise is None else 1
-    for round_number in range(2):
+    scale = np.array([p.scale for p in start.parameters])
+    for _ in range(MOST_TUNINGS):
         values = hypothesis.flat(machine.believed)
-        if round_number < tunings:
-            noise = tune_noise(machine, runs, values, noise)
+        noise = tune_noise(machine, runs, values, noise, paths=1)
         data = Data(machine, runs, noise, values)
         fitted = fit(data, hypothesis)
+        moved = (fitted.hypothesis.x - hypothesis.x) / scale
         hypothesis = fitted.hypothesis
+        if moved @ fitted.information() @ moved < SETTLED:
+            break
     return data, fitted
 
 
@@ -251,12 +260,12 @@ def screen(data: Data, current: Fit, candidates: Sequence[Candidate]) -> list[Sc
         for amplitude in candidate.amplitudes:
             points.append(_moved(data.machine, flat, candidate, start, amplitude))
             owners.append(number)
-    columns = data.residuals(np.stack(points)) - current.residual
-    free = free_of_fitted(current, columns.T)
+    columns = (data.residuals(np.stack(points)) - current.residual).T
+    free = free_of_fitted(current, columns)
     ranked: dict[str, Screened] = {}
     for number, (candidate, start) in enumerate(variants):
         own = [i for i, o in enumerate(owners) if o == number]
-        found = _promise(data, current, candidate, start, free[:, own])
+        found = _promise(data, current, candidate, start, columns[:, own], free[:, own])
         best = ranked.get(candidate.name)
         if best is None or found.promise > best.promise:
             ranked[candidate.name] = found
@@ -290,18 +299,32 @@ def _moved(
 
 
 def _promise(
-    data: Data, current: Fit, candidate: Candidate, start: dict[int, float], free: Array
+    data: Data,
+    current: Fit,
+    candidate: Candidate,
+    start: dict[int, float],
+    columns: Array,
+    free: Array,
 ) -> Screened:
+    """Take one linear step of everything: keys that rest on a bound for its lack come back, too.
+
+    `columns` (m, amplitudes) is what a step of the screen changes, `free` of them is what the
+    fitted parameters leave.
+    """
     gram = free.T @ free
-    right = free.T @ current.residual
-    amount = -np.linalg.lstsq(gram + 1e-12 * np.eye(len(gram)), right, rcond=None)[0]
     start = dict(start)
     phase = [i for i, p in enumerate(candidate.parameters) if p.label == PHASE]
-    if phase and amount[0] < 0:  # a wave the other way round
-        amount, free, right = -amount, -free, -right
+    if phase and free[:, 0] @ current.residual > 0:  # a wave the other way round
+        columns = -columns
         start[phase[0]] = _half_turn(start[phase[0]] + np.pi)
-    amount = np.clip(amount, *_possible_amounts(data.machine, candidate))
-    promise = float(-2.0 * right @ amount - amount @ gram @ amount)
+    cross = current.jacobian.T @ columns
+    whole = np.block([[current.information(), cross], [cross.T, columns.T @ columns]])
+    slope = np.concatenate([current.slope(data.believed), columns.T @ current.residual])
+    low, high = _possible_amounts(data.machine, candidate)
+    below, above = current.hypothesis.room()
+    step = solve_within(whole, slope, np.append(below, low), np.append(above, high))
+    promise = float(-2.0 * slope @ step - step @ whole @ step)
+    amount = step[len(below) :]
     sizes = np.zeros(len(candidate.parameters))
     for index, value in start.items():
         sizes[index] = value
