@@ -27,8 +27,7 @@ kinematics_force contact_roller_force(const parameters *p, i16 x_m_s_q13, i16 y_
     u16 i;
     for (i = 0; i < WHEEL_COUNT; i++) {
         /* The roller direction is the drive direction turned by -90 degrees. */
-        const i32 hub_q28 =
-            fixed_subtract_i32((i32)drive_y_q15[i] * x_m_s_q13, (i32)drive_x_q15[i] * y_m_s_q13);
+        const i32 hub_q28 = (i32)drive_y_q15[i] * x_m_s_q13 - (i32)drive_x_q15[i] * y_m_s_q13;
         /* k V_F as the ratio of V_F and 1/k, both Q18; a quarter turn of 2^14 makes (2/pi) atan
          * Q14. */
         const i16 share_q14 =

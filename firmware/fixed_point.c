@@ -5,12 +5,13 @@
 #define HALF_TURN 32768L
 #define ONE_Q15 32768L
 #define HALF_RANGE ((i32)1 << 30)
+/* Twice this leaves room for 2^16. Of all products of two i16 only 2^15 * 2^15 is larger. */
+#define LARGEST_DOUBLED (HALF_RANGE - ONE_Q15)
 
+/* Nearly all values are within the range, which a compiler can see in one test. */
 i16 fixed_saturate_i16(i32 value) {
-    if (value > I16_MAX)
-        return I16_MAX;
-    if (value < I16_MIN)
-        return I16_MIN;
+    if (value > I16_MAX || value < I16_MIN)
+        return (i16)(value < 0 ? I16_MIN : I16_MAX);
     return (i16)value;
 }
 
@@ -90,8 +91,10 @@ i32 fixed_multiply_i32_q15(i32 a, i16 b_q15) {
     const i16 high = (i16)(a >> 16);
     const i16 low_half = (i16)((u32)(a & 0xFFFFL) >> 1); /* halved to fit a signed factor */
     const i32 high_product = (i32)high * b_q15;
-    return fixed_add_i32(fixed_add_i32(high_product, high_product), /* 2^16 / 2^15 = 2 */
-                         fixed_shift_right((i32)low_half * b_q15, 14));
+    const i32 low_result = fixed_shift_right((i32)low_half * b_q15, 14); /* below 2^16 */
+    if (high_product > LARGEST_DOUBLED)
+        return fixed_add_i32((i32)I32_MAX, low_result);
+    return 2 * high_product + low_result; /* 2^16 / 2^15 = 2 */
 }
 
 i32 fixed_divide(i32 numerator, u16 denominator, u16 shift) {
@@ -131,12 +134,15 @@ i16 fixed_cosine_q15(u16 angle) {
 }
 
 i16 fixed_tangent_quarter_q10(i16 x_q15, i16 *cosine_q15) {
-    const u16 angle = (u16)(x_q15 / 2); /* a quarter turn is 2^14 */
-    *cosine_q15 = fixed_cosine_q15(angle);
-    if (*cosine_q15 <= 0)
-        return (i16)(x_q15 < 0 ? -I16_MAX : I16_MAX);
-    /* Q15 / Q15 * 2^10 -> Q10 */
-    return fixed_clamp_i16(fixed_divide(fixed_sine_q15(angle), (u16)*cosine_q15, 10), I16_MAX);
+    const i32 angle_q14 = (x_q15 < 0 ? -(i32)x_q15 : (i32)x_q15) / 2; /* a quarter turn is 2^14 */
+    i16 tangent_q10 = I16_MAX;
+    *cosine_q15 = quarter_sine_q15(QUARTER_TURN - angle_q14);
+    if (*cosine_q15 > 0) {
+        /* Q15 * 2^10 / Q15 -> Q10 */
+        tangent_q10 =
+            fixed_saturate_i16((i32)quarter_sine_q15(angle_q14) * 1024 / (i32)*cosine_q15);
+    }
+    return (i16)(x_q15 < 0 ? -tangent_q10 : tangent_q10);
 }
 
 /* atan(r) for 0 <= r <= 1, r in Q15, as an angle of full turn 65536: Abramowitz and Stegun 4.4.47
@@ -197,6 +203,15 @@ u16 fixed_sqrt(u32 value) {
     return (u16)root;
 }
 
+static u32 sum_of_squares(i16 a, i16 b) {
+    return (u32)((i32)a * a) + (u32)((i32)b * b);
+}
+
 u16 fixed_hypot(i16 a, i16 b) {
-    return fixed_sqrt((u32)((i32)a * a) + (u32)((i32)b * b));
+    return fixed_sqrt(sum_of_squares(a, b));
+}
+
+u16 fixed_is_longer(i16 a, i16 b, i16 limit) {
+    const u32 longer = (u32)limit + 1U;
+    return sum_of_squares(a, b) >= longer * longer;
 }

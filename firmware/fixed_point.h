@@ -57,6 +57,8 @@ i16 fixed_atan2(i32 y, i32 x);
 u16 fixed_sqrt(u32 value);
 /* Length of (a, b), in the format of a and b. */
 u16 fixed_hypot(i16 a, i16 b);
+/* fixed_hypot(a, b) > limit, without the root; limit >= 0. */
+u16 fixed_is_longer(i16 a, i16 b, i16 limit);
 
 #ifdef __cplusplus
 }

@@ -9,7 +9,7 @@ static i32 losses_n_q19(const parameters *p, i16 shaft_rad_s_q5) {
     const i16 sign_q7 = fixed_clamp_i16(shaft_rad_s_q5, COULOMB_RAMP_RAD_S_Q5);
     const i32 drag_q19 = (i32)PARAMETER_GET(p, drag_q14) * shaft_rad_s_q5;     /* Q14 * Q5 = Q19 */
     const i32 coulomb_q15 = (i32)PARAMETER_GET(p, coulomb_force_q8) * sign_q7; /* Q8 * Q7 = Q15 */
-    return fixed_add_i32(drag_q19, fixed_shift_left(coulomb_q15, 4));
+    return drag_q19 + coulomb_q15 * 16; /* below 2^30 + 2^26 */
 }
 
 i32 motor_steady_force_n_q19(const parameters *p, i16 voltage_v_q9, i16 shaft_rad_s_q5) {

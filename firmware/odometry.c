@@ -27,10 +27,9 @@ odometry_heading odometry_heading_of(u16 angle) {
 }
 
 void odometry_body_to_world(odometry_heading heading, i16 *x, i16 *y) {
-    /* Qn * Q15 -> Qn */
-    const i32 turned_x =
-        fixed_subtract_i32((i32)heading.cosine_q15 * *x, (i32)heading.sine_q15 * *y);
-    const i32 turned_y = fixed_add_i32((i32)heading.sine_q15 * *x, (i32)heading.cosine_q15 * *y);
+    /* Qn * Q15 -> Qn; sine and cosine are never -1, so two products fit into an i32 */
+    const i32 turned_x = (i32)heading.cosine_q15 * *x - (i32)heading.sine_q15 * *y;
+    const i32 turned_y = (i32)heading.sine_q15 * *x + (i32)heading.cosine_q15 * *y;
     *x = fixed_saturate_i16(fixed_shift_right(turned_x, 15));
     *y = fixed_saturate_i16(fixed_shift_right(turned_y, 15));
 }

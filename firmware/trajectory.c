@@ -13,9 +13,10 @@ static u16 limit_speed(const parameters *p, kinematics_velocity *velocity) {
     const i16 omega_q11 =
         fixed_clamp_i16(velocity->omega_rad_s_q11, PARAMETER_GET(p, omega_limit_q11));
     const i16 limit_q13 = PARAMETER_GET(p, speed_limit_q13);
-    const u16 speed_q13 = fixed_hypot(velocity->x_m_s_q13, velocity->y_m_s_q13);
-    const u16 cut = speed_q13 > (u16)limit_q13 || velocity->omega_rad_s_q11 != omega_q11;
-    if (speed_q13 > (u16)limit_q13) {
+    const u16 too_fast = fixed_is_longer(velocity->x_m_s_q13, velocity->y_m_s_q13, limit_q13);
+    const u16 cut = too_fast || velocity->omega_rad_s_q11 != omega_q11;
+    if (too_fast) {
+        const u16 speed_q13 = fixed_hypot(velocity->x_m_s_q13, velocity->y_m_s_q13);
         const i16 scale_q15 = (i16)fixed_divide(limit_q13, speed_q13, 15); /* Q13 / Q13 * 2^15 */
         velocity->x_m_s_q13 = fixed_multiply_q15(velocity->x_m_s_q13, scale_q15);
         velocity->y_m_s_q13 = fixed_multiply_q15(velocity->y_m_s_q13, scale_q15);
@@ -81,6 +82,11 @@ static u16 length(i32 x, i32 y) {
     return fixed_hypot(fixed_saturate_i16(x), fixed_saturate_i16(y));
 }
 
+/* length(x, y) > limit */
+static u16 is_longer(i32 x, i32 y, i16 limit) {
+    return fixed_is_longer(fixed_saturate_i16(x), fixed_saturate_i16(y), limit);
+}
+
 static u16 size_of(i32 value) {
     const i16 limited = fixed_clamp_i16(value, I16_MAX);
     return (u16)(limited < 0 ? -limited : limited);
@@ -116,7 +122,7 @@ static int end_fits(const curve *c, const i16 a[3], const i16 b[3], const trajec
 }
 
 static int speed_fits(const curve *c, const parameters *p) {
-    const u16 limit = (u16)PARAMETER_GET(p, speed_limit_q13);
+    const i16 limit = PARAMETER_GET(p, speed_limit_q13);
     const u16 turning_limit = (u16)PARAMETER_GET(p, omega_limit_q11);
     i32 first[3], last[3]; /* corners of the polygon; between them lies their mean */
     u16 axis;
@@ -125,7 +131,7 @@ static int speed_fits(const curve *c, const parameters *p) {
         first[axis] = (three_means - c->v1[axis]) / 2;
         last[axis] = (three_means - c->v0[axis]) / 2;
     }
-    return length(first[0], first[1]) <= limit && length(last[0], last[1]) <= limit &&
+    return !is_longer(first[0], first[1], limit) && !is_longer(last[0], last[1], limit) &&
            size_of(first[2]) <= turning_limit && size_of(last[2]) <= turning_limit;
 }
 
@@ -397,10 +403,11 @@ static u16 limit_acceleration(const parameters *p, traction_change *change) {
     /* Q12, since a reversal at full speed is twice the range of Q13 */
     const i16 x_q12 = fixed_saturate_i16(fixed_shift_right(change->axis_q22[0], 10));
     const i16 y_q12 = fixed_saturate_i16(fixed_shift_right(change->axis_q22[1], 10));
-    const u16 size_q12 = fixed_hypot(x_q12, y_q12);
+    const u16 too_much = fixed_is_longer(x_q12, y_q12, (i16)(limit_q22 / 1024)); /* Q22 -> Q12 */
     const i32 turning_q22 = fixed_clamp_i32(change->axis_q22[2], turning_limit_q22);
-    const u16 cut = (i32)size_q12 * 1024 > limit_q22 || change->axis_q22[2] != turning_q22;
-    if ((i32)size_q12 * 1024 > limit_q22) {
+    const u16 cut = too_much || change->axis_q22[2] != turning_q22;
+    if (too_much) {
+        const u16 size_q12 = fixed_hypot(x_q12, y_q12);
         change->axis_q22[0] = along_q22(x_q12, size_q12, limit_q22);
         change->axis_q22[1] = along_q22(y_q12, size_q12, limit_q22);
     }

@@ -106,6 +106,17 @@ static void square_root_is_the_floor(void) {
     TEST_ASSERT_EQUAL_UINT(46340, fixed_hypot(I16_MIN, I16_MIN));
 }
 
+static void longer_is_what_has_the_longer_root(void) {
+    TEST_ASSERT_FALSE(fixed_is_longer(0, 0, 0));
+    TEST_ASSERT_FALSE(fixed_is_longer(3, -4, 5));
+    TEST_ASSERT_TRUE(fixed_is_longer(3, -4, 4));
+    TEST_ASSERT_FALSE(fixed_is_longer(0, I16_MAX, I16_MAX));
+    TEST_ASSERT_TRUE(fixed_is_longer(0, I16_MIN, I16_MAX));
+    TEST_ASSERT_TRUE(fixed_is_longer(I16_MIN, I16_MIN, I16_MAX));
+    for (i16 b = 0; b < 200; b++)
+        TEST_ASSERT_EQUAL(fixed_hypot(150, b) > 180, fixed_is_longer(150, b, 180));
+}
+
 static void parameters_refuse_what_is_out_of_range_and_keep_the_old_value(void) {
     i32 value = 0;
     TEST_ASSERT_EQUAL(PARAMETERS_OUT_OF_RANGE,
@@ -221,6 +232,7 @@ int main(void) {
     RUN_TEST(tangent_saturates_at_the_quarter_turn);
     RUN_TEST(arc_tangent_knows_the_quadrants);
     RUN_TEST(square_root_is_the_floor);
+    RUN_TEST(longer_is_what_has_the_longer_root);
     RUN_TEST(parameters_refuse_what_is_out_of_range_and_keep_the_old_value);
     RUN_TEST(every_default_lies_within_its_own_limits);
     RUN_TEST(names_state_their_q_format);
