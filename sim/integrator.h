@@ -14,6 +14,7 @@
 #include <cmath>
 #include <cstdio>
 #include <stdexcept>
+#include <type_traits>
 
 #include "memory.h"
 
@@ -40,6 +41,25 @@ inline int step_count(double duration_s, double step_s, double fastest_rate_1_s)
     return std::max(1, static_cast<int>(std::ceil(steps - 1e-9)));
 }
 
+/* The states in front that a plant reads and writes in lots of wheels (lanes.h), if it has any. */
+template <class Plant, class = void>
+constexpr int kStatesInLots = 0;
+template <class Plant>
+constexpr int kStatesInLots<Plant, std::void_t<decltype(Plant::kStatesInLots)>> =
+    Plant::kStatesInLots;
+
+/* Calls `update` for all of the n states: for those that the plant reads and writes in lots of
+ * wheels with such a lot, for each other one by itself. A register that is read right after it was
+ * written in parts would have to wait until these have left for the cache. */
+template <class S, class Plant, int n, class Update>
+void for_each_state(Update &&update) {
+    constexpr int in_lots = std::min(n, kStatesInLots<Plant>);
+    for (int i = 0; i < in_lots; i += LotOf<S>::kWheels)
+        update(LotAt<S>{i});
+    for (int i = in_lots; i < n; ++i)
+        update(OneAt<S>{i});
+}
+
 /* A rule finishes a step of the first n states whose first derivative k is known; k is used up.
  * `room`: states that the plant could touch if it had a memory in use, for compilers that check
  * bounds. */
@@ -52,23 +72,22 @@ struct Rk4 {
         const S half(0.5 * h), full(h), sixth(h / 6.0), third(h / 3.0);
         const S middle(time_s + 0.5 * h), end(time_s + h);
         S sum[n], probe[room] = {};
-        for (int i = 0; i < n; ++i) {
-            sum[i] = x[i] + sixth * k[i];
-            probe[i] = x[i] + half * k[i];
-        }
+        for_each_state<S, Plant, n>([&](auto at) {
+            at.put(at(x) + sixth * at(k), sum);
+            at.put(at(x) + half * at(k), probe);
+        });
         plant.derivative(probe, step, middle, k, in);
-        for (int i = 0; i < n; ++i) {
-            sum[i] = sum[i] + third * k[i];
-            probe[i] = x[i] + half * k[i];
-        }
+        for_each_state<S, Plant, n>([&](auto at) {
+            at.put(at(sum) + third * at(k), sum);
+            at.put(at(x) + half * at(k), probe);
+        });
         plant.derivative(probe, step, middle, k, in);
-        for (int i = 0; i < n; ++i) {
-            sum[i] = sum[i] + third * k[i];
-            probe[i] = x[i] + full * k[i];
-        }
+        for_each_state<S, Plant, n>([&](auto at) {
+            at.put(at(sum) + third * at(k), sum);
+            at.put(at(x) + full * at(k), probe);
+        });
         plant.derivative(probe, step, end, k, in);
-        for (int i = 0; i < n; ++i)
-            x[i] = sum[i] + sixth * k[i];
+        for_each_state<S, Plant, n>([&](auto at) { at.put(at(sum) + sixth * at(k), x); });
     }
 };
 
@@ -80,29 +99,29 @@ struct Merson {
     static void finish(S *k, const Plant &plant, S *x, const Step &step, double time_s, double h,
                        Internals &in) {
         const S third(time_s + h / 3.0), middle(time_s + 0.5 * h), end(time_s + h);
-        const S full(h);
+        const S full(h), to_third(h / 3.0), sixth(h / 6.0);
         S first[n], early[n], probe[room] = {};
-        for (int i = 0; i < n; ++i) {
-            first[i] = full * k[i];
-            probe[i] = x[i] + S(1.0 / 3.0) * first[i];
-        }
+        for_each_state<S, Plant, n>([&](auto at) {
+            at.put(at(k), first);
+            at.put(at(x) + to_third * at(k), probe);
+        });
         plant.derivative(probe, step, third, k, in);
-        for (int i = 0; i < n; ++i)
-            probe[i] = x[i] + S(1.0 / 6.0) * (first[i] + full * k[i]);
+        for_each_state<S, Plant, n>(
+            [&](auto at) { at.put(at(x) + sixth * (at(first) + at(k)), probe); });
         plant.derivative(probe, step, third, k, in);
-        for (int i = 0; i < n; ++i) {
-            early[i] = full * k[i];
-            probe[i] = x[i] + S(0.125) * first[i] + S(0.375) * early[i];
-        }
+        for_each_state<S, Plant, n>([&](auto at) {
+            at.put(at(k), early);
+            at.put(at(x) + S(0.125) * full * at(first) + S(0.375) * full * at(k), probe);
+        });
         plant.derivative(probe, step, middle, k, in);
-        for (int i = 0; i < n; ++i) {
-            const S central = full * k[i];
-            probe[i] = x[i] + S(0.5) * first[i] - S(1.5) * early[i] + S(2.0) * central;
-            x[i] = x[i] + S(1.0 / 6.0) * first[i] + S(2.0 / 3.0) * central;
-        }
+        for_each_state<S, Plant, n>([&](auto at) {
+            at.put(at(x) + S(0.5) * full * at(first) - S(1.5) * full * at(early) +
+                       S(2.0) * full * at(k),
+                   probe);
+            at.put(at(x) + sixth * at(first) + S(4.0) * sixth * at(k), x);
+        });
         plant.derivative(probe, step, end, k, in);
-        for (int i = 0; i < n; ++i)
-            x[i] = x[i] + S(1.0 / 6.0) * (full * k[i]);
+        for_each_state<S, Plant, n>([&](auto at) { at.put(at(x) + sixth * at(k), x); });
     }
 };
 

@@ -8,6 +8,7 @@
 #define OMNISLIP_SIM_LANES_H
 
 #include <cmath>
+#include <limits>
 #include <type_traits>
 #include <xsimd/xsimd.hpp>
 
@@ -106,16 +107,25 @@ template <class A>
     const S p8 = (S(4.97687799461593236017e-02) - z * S(3.65315727442169155270e-02)) +
                  z2 * S(1.62858201153657823623e-02);
     const S turned = S(2.0 / kPi) * t;
-    return (begin + (turned - turned * z * (p0 + z4 * (p4 + z4 * p8)))) ^ sign;
+    return ((begin + turned) - turned * z * (p0 + z4 * (p4 + z4 * p8))) ^ sign;
 }
 
 /* Sine and cosine of angles near one for which they are known, to the last digit but one. */
 template <class S>
 class NearbyAngle {
   public:
-    NearbyAngle() = default;
-    explicit NearbyAngle(const S &angle) : angle_(angle) {
-        sine_cosine(angle, sine_, cosine_);
+    /* Makes ready for angles near this one. Those of a lane do not depend on the other lanes. */
+    void follow(const S &angle) {
+        using std::abs;
+        const S away = abs(angle - angle_); /* no number at first */
+        if (!any_above(away, kNear_rad))
+            return;
+        S sine, cosine;
+        sine_cosine(angle, sine, cosine);
+        const auto near = away <= S(kNear_rad);
+        angle_ = select(near, angle_, angle);
+        sine_ = select(near, sine_, sine);
+        cosine_ = select(near, cosine_, cosine);
     }
     /* Taylor series: within 0.1 rad their first term left out is below 3e-18. */
     void operator()(const S &angle, S &sine, S &cosine) const {
@@ -136,7 +146,9 @@ class NearbyAngle {
     }
 
   private:
-    S angle_, sine_, cosine_;
+    static constexpr double kNear_rad = 0.05; /* a step turns by less than as much again */
+
+    S angle_ = S(std::numeric_limits<double>::quiet_NaN()), sine_ = S(0.0), cosine_ = S(1.0);
 };
 
 /* Values of the wheels that are computed at once: all four doubles where the registers are as wide,
@@ -180,6 +192,28 @@ S total(const typename LotOf<S>::Type &lot) {
     else
         return lot;
 }
+
+/* A place in any array of states: the wheels from i on, and a single value. */
+template <class S>
+struct LotAt {
+    int i;
+    typename LotOf<S>::Type operator()(const S *values) const {
+        return lot(values + i);
+    }
+    void put(const typename LotOf<S>::Type &lot, S *values) const {
+        omnislip::put(lot, values + i);
+    }
+};
+template <class S>
+struct OneAt {
+    int i;
+    const S &operator()(const S *values) const {
+        return values[i];
+    }
+    void put(const S &value, S *values) const {
+        values[i] = value;
+    }
+};
 
 template <class S>
 S sign_of(const S &x) {

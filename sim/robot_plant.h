@@ -65,6 +65,7 @@ constexpr BaseParameter kRobotBase[] = {
 struct RobotLayout {
     static constexpr int kMotors = 4;
     static constexpr int kStates = 14;
+    static constexpr int kStatesInLots = 8;   /* speeds and angles, see integrator.h */
     static constexpr int kAll = kStates + 24; /* with memory */
     static constexpr int kOutputs = 8;        /* encoder angles 4, gyro, x, y, theta */
     static constexpr int kBase = static_cast<int>(sizeof(kRobotBase) / sizeof(kRobotBase[0]));
@@ -94,7 +95,7 @@ struct RobotInternals {
 
 inline namespace OMNISLIP_INSTRUCTION_SET {
 
-/* What stays during one step: the duty on average over it, the heading from which the robot turns
+/* What stays during one step: the duty on average over it, a heading from which the robot turns
  * little; of the memory how lags relax. */
 template <class S>
 struct RobotStep {
@@ -146,7 +147,7 @@ class RobotPlant : public RobotLayout {
     /* Driver and armature over a step from x [kAll] under a constant duty. */
     void begin_step(const S *x, const S *duty, double length_s, Step &step) const {
         command(duty, step.duty);
-        step.heading = NearbyAngle<S>(x[kPose + 2]);
+        step.heading.follow(x[kPose + 2]);
         if (remembers_)
             recall(x, length_s, step);
     }
@@ -157,14 +158,13 @@ class RobotPlant : public RobotLayout {
         const S &vx = x[kVelocity];
         const S &vy = x[kVelocity + 1];
         const S &omega = x[kVelocity + 2];
-        S cos_theta, sin_theta;
-        step.heading(x[kPose + 2], sin_theta, cos_theta);
-
         motor(x, step, time_s, in);
         S traction_per_load[4]; /* fT / N */
         S radius_m[4];
         S grip_rate[4];
         contact(x, step, time_s, in, traction_per_load, radius_m, grip_rate);
+        S cos_theta, sin_theta;
+        step.heading(x[kPose + 2], sin_theta, cos_theta);
         BodyTerm<S, 4> external = outside(x, time_s, cos_theta, sin_theta, in);
         body(x, in, traction_per_load, external, dx);
 
@@ -288,11 +288,9 @@ class RobotPlant : public RobotLayout {
             shaft_damping_[i] = S(0.0);
         }
         estimate_shaft_damping();
-        load_moves_ = bus_sags_ = false;
-        for (int i = 0; i < LaneCount<S>::value; ++i) {
-            load_moves_ = load_moves_ || lane(c_.cog_height_m, i) != 0.0;
-            bus_sags_ = bus_sags_ || lane(c_.source_resistance_ohm, i) != 0.0;
-        }
+        load_moves_ = any_differs(&c_.cog_height_m, 1, 0.0);
+        off_centre_ = any_differs(&c_.cog_x_m, 1, 0.0) || any_differs(&c_.cog_y_m, 1, 0.0);
+        bus_sags_ = any_differs(&c_.source_resistance_ohm, 1, 0.0);
     }
 
     /* Divisions take as long as the rest of a step. */
@@ -324,14 +322,17 @@ class RobotPlant : public RobotLayout {
     void recall(const S *x, double length_s, Step &step) const {
         step.length_s = length_s;
         step.inverse_s = length_s > 0.0 ? 1.0 / length_s : 0.0;
+        S conductance_s[4];
+        for (int i = 0; i < 4; i += kLot)
+            put(warm_conductance_s(x, i), conductance_s + i);
         for (int i = 0; i < 4; ++i) {
             const S *begin = x + i;
             const auto driver = Relaxation<S>::over(S(length_s), c_.driver_lag_s[i]);
             const S ahead = step.duty[i] - begin[kDrivenDuty];
             step.duty_rate_1_s[i] = driver.gained * S(step.inverse_s) * ahead;
             step.duty[i] = step.duty[i] - driver.left * ahead;
-            const S conductance_s = warm_conductance_s(x, i);
-            const auto coil = Relaxation<S>::over(S(length_s), c_.inductance_h[i] * conductance_s);
+            const auto coil =
+                Relaxation<S>::over(S(length_s), c_.inductance_h[i] * conductance_s[i]);
             step.coil_gained[i] = coil.gained;
             step.coil_left[i] = coil.left;
             step.current_a[i] = begin[kCoilCurrent];
@@ -339,8 +340,12 @@ class RobotPlant : public RobotLayout {
         }
     }
 
-    S warm_conductance_s(const S *x, int i) const {
-        return conductance_s_ / (S(1.0) + c_.heating_1_a2_s[i] * x[kHeat + i]);
+    /* of the armatures from i on */
+    Lot warm_conductance_s(const S *x, int i) const {
+        const Lot cold_s(conductance_s_);
+        if (!heats_)
+            return cold_s;
+        return cold_s / (Lot(S(1.0)) + lot(c_.heating_1_a2_s + i) * lot(x + kHeat + i));
     }
 
     /* Derivatives of the memory, and of the shafts where a gear is soft. */
@@ -435,8 +440,8 @@ class RobotPlant : public RobotLayout {
             inputs.at[kInT] = &time_s;
             user_.add(UserTarget::kSupply, inputs, 1, &supply.open_circuit_v);
         }
-        for (int i = 0; i < 4; ++i)
-            in.conductance_s[i] = heats_ ? warm_conductance_s(x, i) : conductance_s_;
+        for (int i = 0; i < 4; i += kLot)
+            put(warm_conductance_s(x, i), in.conductance_s + i);
         balance_bus(speed, step, supply.open_circuit_v, in);
         for (int i = 0; i < 4; i += kLot) {
             put(lot(c_.torque_constant_nm_a + i) * lot(in.current_a + i), in.motor_torque_nm + i);
@@ -570,8 +575,9 @@ class RobotPlant : public RobotLayout {
         }
     }
 
-    /* (13) per friction limit, along or across the wheels: (2/pi) atan(k s). */
-    void friction_law(const S *slip_m_s, S *shape) const {
+    /* (13) per friction limit, along or across the wheels: (2/pi) atan(k s). Not called, since the
+     * step waits for it. */
+    [[gnu::always_inline]] void friction_law(const S *slip_m_s, S *shape) const {
         for (int i = 0; i < 4; i += kLot) {
             const Lot scaled = Lot(c_.slip_stiffness_s_m) * lot(slip_m_s + i);
             put(atan_in_right_angles(scaled), shape + i);
@@ -672,8 +678,8 @@ class RobotPlant : public RobotLayout {
         term.acceleration_x_m_s2 = term.acceleration_y_m_s2 = S(0.0);
         term.cos_theta = cos_theta;
         term.sin_theta = sin_theta;
-        for (int i = 0; i < 4; ++i)
-            term.force_along_drive_per_load[i] = S(0.0);
+        for (int i = 0; i < 4; i += kLot)
+            put(Lot(S(0.0)), term.force_along_drive_per_load + i);
         if (!active_.use(kBody))
             return term;
         for (int i = 0; i < 4; ++i)
@@ -696,46 +702,65 @@ class RobotPlant : public RobotLayout {
     /* Wheel loads, contact forces and the body's acceleration (4). */
     void body(const S *x, RobotInternals<S> &in, const S *traction_per_load,
               const BodyTerm<S, 4> &external, S *dx) const {
-        S along[4];
-        for (int i = 0; i < 4; i += kLot) {
-            put(lot(traction_per_load + i) + lot(external.force_along_drive_per_load + i),
-                along + i);
+        const auto along_per_load = [&](int i) {
+            const Lot traction = lot(traction_per_load + i);
+            return active_.use(kBody) ? traction + lot(external.force_along_drive_per_load + i)
+                                      : traction;
+        };
+        for (int i = 0; i < 4; i += kLot)
             put(lot(static_load_n_ + i), in.load_n + i);
-        }
-        if (load_moves_)
+        if (load_moves_) {
+            S along[4];
+            for (int i = 0; i < 4; i += kLot)
+                put(along_per_load(i), along + i);
             transfer_load(in, along, external);
+        }
         Lot sum_x(S(0.0)), sum_y(S(0.0)), sum_moment(S(0.0));
         for (int i = 0; i < 4; i += kLot) {
             const Lot load_n = lot(in.load_n + i);
-            const Lot drive_n = load_n * lot(along + i);
             const Lot roller_n = load_n * lot(in.roller_force_n + i);
             const Lot drive_x = lot(drive_x_ + i), drive_y = lot(drive_y_ + i);
             put(load_n * lot(traction_per_load + i), in.drive_force_n + i);
             put(roller_n, in.roller_force_n + i);
-            sum_x = sum_x + drive_n * drive_x + roller_n * drive_y;
-            sum_y = sum_y + drive_n * drive_y - roller_n * drive_x;
-            sum_moment =
-                sum_moment + drive_n * lot(drive_lever_ + i) + roller_n * lot(roller_lever_ + i);
+            /* What is known first is multiplied first: the forces along are waited for. */
+            const Lot along = along_per_load(i);
+            sum_x = sum_x + roller_n * drive_y + load_n * drive_x * along;
+            sum_y = sum_y - roller_n * drive_x + load_n * drive_y * along;
+            sum_moment = sum_moment + roller_n * lot(roller_lever_ + i) +
+                         load_n * lot(drive_lever_ + i) * along;
         }
         S fx = total<S>(sum_x), fy = total<S>(sum_y), moment = total<S>(sum_moment);
-        moment = moment - (c_.cog_x_m * fy - c_.cog_y_m * fx) + external.torque_nm;
+        if (off_centre_)
+            moment = moment - (c_.cog_x_m * fy - c_.cog_y_m * fx);
+        in.external_force_x_n = in.external_force_y_n = in.external_torque_nm = S(0.0);
+        if (active_.use(kBody)) {
+            push(external, in);
+            fx = fx + in.external_force_x_n;
+            fy = fy + in.external_force_y_n;
+            moment = moment + in.external_torque_nm;
+        }
+
+        const S &omega = x[kVelocity + 2];
+        const S alpha = moment * per_inertia_;
+        S ax = fx * per_mass_ + omega * x[kVelocity + 1];
+        S ay = fy * per_mass_ - omega * x[kVelocity];
+        if (off_centre_) {
+            ax = ax + (omega * omega * c_.cog_x_m + alpha * c_.cog_y_m);
+            ay = ay + (omega * omega * c_.cog_y_m - alpha * c_.cog_x_m);
+        }
+        dx[kVelocity] = ax;
+        dx[kVelocity + 1] = ay;
+        dx[kVelocity + 2] = alpha;
+    }
+
+    /* What the effects on the body push it with, in its frame. */
+    void push(const BodyTerm<S, 4> &external, RobotInternals<S> &in) const {
         const S &ax = external.acceleration_x_m_s2, &ay = external.acceleration_y_m_s2;
         in.external_force_x_n =
             external.force_x_n + c_.mass_kg * (external.cos_theta * ax + external.sin_theta * ay);
         in.external_force_y_n =
             external.force_y_n + c_.mass_kg * (external.cos_theta * ay - external.sin_theta * ax);
-        fx = fx + in.external_force_x_n;
-        fy = fy + in.external_force_y_n;
         in.external_torque_nm = external.torque_nm;
-
-        const S &omega = x[kVelocity + 2];
-        const S alpha = moment * per_inertia_;
-        const S omega2 = omega * omega;
-        dx[kVelocity] =
-            fx * per_mass_ + alpha * c_.cog_y_m + omega2 * c_.cog_x_m + omega * x[kVelocity + 1];
-        dx[kVelocity + 1] =
-            fy * per_mass_ - alpha * c_.cog_x_m + omega2 * c_.cog_y_m - omega * x[kVelocity];
-        dx[kVelocity + 2] = alpha;
     }
 
     /* N = N0 - m h (leg_x ax + leg_y ay) with m a = F_ext + sum(N_i g_i), solved for a (2 x 2). The
@@ -800,7 +825,7 @@ class RobotPlant : public RobotLayout {
     S drive_x_[4], drive_y_[4], drive_lever_[4], roller_lever_[4];
     UserTerms<S, 4> user_;
     ActiveEffects<S, kMotors, kRobot> active_;
-    bool load_moves_ = false, bus_sags_ = false;
+    bool load_moves_ = false, off_centre_ = false, bus_sags_ = false;
     S per_mass_, per_inertia_, per_gear_ratio_, per_shaft_inertia_[4], conductance_s_;
     SoftGear<S> gear_[4];
     bool delays_ = false, remembers_ = false, inductive_ = false, heats_ = false;
