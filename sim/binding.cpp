@@ -480,6 +480,8 @@ std::vector<double> robot_values(const Numbers &parameters, const nb::list &effe
         for (const double neutral : term.neutral)
             values.insert(values.end(), static_cast<std::size_t>(term.stride), neutral);
     }
+    if (effects.size() == 0)
+        return values;
     const Places places = places_of(terms, user_effects);
     for (nb::handle effect : effects)
         set_effect(nb::cast<nb::dict>(effect), places, values);

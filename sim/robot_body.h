@@ -65,7 +65,7 @@ class RobotBody {
 
     void currents_ma(std::int16_t *out) const {
         for (int i = 0; i < 4; ++i) {
-            const long current_ma = std::lround(in_.current_a[i] * 1e3);
+            const long current_ma = std::lrint(in_.current_a[i] * 1e3);
             out[i] = static_cast<std::int16_t>(std::clamp(current_ma, -32768L, 32767L));
         }
     }
