@@ -68,7 +68,7 @@ static void divide(void) {
 }
 
 static void trigonometry(void) {
-    double sine = 0.0, cosine = 0.0, tangent = 0.0, arc = 0.0;
+    double sine = 0.0, cosine = 0.0, tangent = 0.0, arc = 0.0, octant = 0.0;
     for (long angle = 0; angle < 65536; angle++) {
         const double angle_rad = (double)angle * REFERENCE_PI / 32768.0;
         keep_largest(&sine, fixed_sine_q15((u16)angle), reference_i16(sin(angle_rad) * 32768.0));
@@ -81,6 +81,9 @@ static void trigonometry(void) {
                                65536.0),
                      0.0);
     }
+    for (i32 ratio = 0; ratio <= I16_MAX; ratio++)
+        keep_largest(&octant, fixed_atan2(ratio, I16_MAX),
+                     atan((double)ratio / I16_MAX) * 32768.0 / REFERENCE_PI);
     for (long x = -31457; x <= 31457; x++) {
         const double exact = tan(REFERENCE_PI / 2.0 * (double)x / 32768.0) * 1024.0;
         i16 cosine_q15;
@@ -92,6 +95,7 @@ static void trigonometry(void) {
     report("fixed_cosine_q15", "all", cosine, 2.0);
     report("fixed_tangent_quarter_q10 / (1 + tan)", "all to 0.96", tangent, 1.5);
     report("fixed_atan2 (full turn 65536)", "65536 directions", arc, 1.5);
+    report("fixed_atan2 of ratios up to 1", "all", octant, 1.0);
 }
 
 static void square_root(void) {

@@ -96,6 +96,7 @@ static void arc_tangent_knows_the_quadrants(void) {
     TEST_ASSERT_EQUAL_INT(24576, fixed_atan2(5, -5));
     TEST_ASSERT_EQUAL_INT(-24576, fixed_atan2(-5, -5));
     TEST_ASSERT_EQUAL_INT(I16_MIN, fixed_atan2(0, -5));
+    TEST_ASSERT_EQUAL_INT(I16_MIN, fixed_atan2(0, -1));
     TEST_ASSERT_EQUAL_INT(-8192, fixed_atan2((i32)I32_MIN, (i32)I32_MAX));
 }
 
