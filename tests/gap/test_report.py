@@ -115,7 +115,7 @@ def findings_of(machine, verdict, effects=(), rivals=()):
         verdict=verdict,
         sentence=f"A sentence with numbers: 0.115 ± 0.003 for {verdict}.",
         machine=machine,
-        split=Split([fitting], [checking], [held], "whole runs"),
+        split=Split([fitting, checking], [held], "whole runs"),
         outcome=outcome,
         wiring=[],
         impacts=[],
@@ -145,7 +145,7 @@ def insufficient(machine):
         verdict="insufficient_data",
         sentence="Not enough data: the command never changes.",
         machine=machine,
-        split=Split([], [], [], "no run was used"),
+        split=Split([], [], "no run was used"),
         outcome=None,
         wiring=[],
         impacts=[],
@@ -378,7 +378,9 @@ def test_names_are_text(found, name):
     findings = replace(
         found,
         machine=Machine(replace(found.machine.model, name=name)),
-        split=replace(found.split, fitting=[run_of(name, ROBOT_CHANNELS)]),
+        split=replace(
+            found.split, fitting=[run_of(name, ROBOT_CHANNELS), *found.split.fitting[1:]]
+        ),
         places=[replace(found.places[0], windows_s=((name, 0.25, 0.5),))],
         replays=[replays_of(run_of(name, ROBOT_CHANNELS))],
         inputs={name: "00"},

@@ -15,7 +15,7 @@ import matplotlib as mpl
 import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from omnislip.gap import find, metrics, report_pictures, search
+from omnislip.gap import find, inference, metrics, report_pictures, search
 from omnislip.gap.find import Findings, to_json
 from omnislip.gap.machine import Candidate, Machine
 from omnislip.gap.metrics import Replays
@@ -395,8 +395,8 @@ def _thresholds() -> list[tuple[str, str]]:
             "largest probability that chance alone gives such a gain, over everything tried",
         ),
         (
-            f"{100 * search.VALIDATION_SHARE:g} %",
-            "least share of the checking runs that an effect must improve",
+            f"{100 * inference.HELPED_SHARE:g} %",
+            "least share of the runs that an effect must improve by sizes that fit the others",
         ),
         (f"{100 * search.LEAST_SHARE:g} %", "least share of all that the effects have gained"),
         (
