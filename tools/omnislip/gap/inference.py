@@ -367,8 +367,8 @@ def fitted_without_each_unit(data: Data, fitted: Fit) -> Array:
 class Check:
     """What a change of the model does to each run (runs,) by sizes fitted without its unit.
 
-    `gains` is the fall of the square error, `stakes` the square of the change. Where the change is
-    right, a gain is its stake +- twice its root.
+    `gains` is the fall of the square error, `stakes` the square of the change in the fits to all
+    runs. Where the change is right, a gain is its stake +- twice its root.
     """
 
     gains: Array
@@ -408,20 +408,28 @@ def check_unseen(data: Data, without: Fit, fits: Sequence[Fit]) -> list[Check]:
     """Judge each of the fits against `without` on runs whose units were left out of both.
 
     An error counts up to `MOST_ERROR` standard deviations: where wheels spin out, a model that is
-    nearly right may be further off in a few rows than one that never lets them spin.
+    nearly right may be further off in a few rows than one that never lets them spin. And a run
+    gains no more than it does where it was fitted: a linear step that is too long for the model
+    without the effect is no merit of the effect.
     """
     if not fits:
         return []
     sets = np.stack([fitted_without_each_unit(data, one) for one in (without, *fits)])
-    residuals = np.clip(data.residuals_unseen(sets), -MOST_ERROR, MOST_ERROR)
-    before, *after = (data.per_run(r) for r in residuals)
+    unseen = _bounded_squares(data, data.residuals_unseen(sets))
+    seen = _bounded_squares(data, np.stack([one.residual for one in (without, *fits)]))
     return [
         Check(
-            np.array([np.sum(b**2) - np.sum(a**2) for b, a in zip(before, one, strict=True)]),
-            np.array([np.sum((b - a) ** 2) for b, a in zip(before, one, strict=True)]),
+            np.minimum(unseen[0] - unseen[k], seen[0] - seen[k]),
+            _bounded_squares(data, (one.residual - without.residual)[None])[0],
         )
-        for one in after
+        for k, one in enumerate(fits, 1)
     ]
+
+
+def _bounded_squares(data: Data, residuals: Array) -> Array:
+    """Square error (models, runs) of residuals (models, m), each bounded."""
+    bounded = np.clip(residuals, -MOST_ERROR, MOST_ERROR)
+    return np.array([[np.sum(part**2) for part in data.per_run(one)] for one in bounded])
 
 
 def check_columns(data: Data, residual: Array, columns: Array) -> Check:
