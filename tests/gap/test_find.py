@@ -5,6 +5,7 @@ effects are found is measured by `omnislip gap benchmark`, not here.
 """
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -298,6 +299,14 @@ def test_no_row_is_in_two_parts_of_the_split(count, tmp_path):
     assert sum(map(len, parts)) == len(set.union(*parts)) == sum(len(log.t_s) for log in logs)
     assert len(parts[1]) >= 0.1 * sum(map(len, parts))
     assert len(parts[0]) >= 0.5 * sum(map(len, parts))
+
+
+def test_runs_of_the_same_name_in_two_folders_are_two(tmp_path):
+    model, _ = axis_case(tmp_path, seeds=())
+    logs = [replace(make_log(Bench(), k), series=f"day_{d}") for d in range(2) for k in range(3)]
+    split = split_runs(Machine(read_model(model)), logs)
+    assert len(split.held_out) == 1
+    assert len({run.unit for run in split.fitting}) == 5
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 6, 9, 12, 20])

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from itertools import pairwise
@@ -85,7 +86,7 @@ CONFIDENCE = 1.959964  # 95 %
 
 @dataclass(frozen=True)
 class Split:
-    """Which runs are fitted, each checking the choice too, and which are looked at at the end."""
+    """Which runs are fitted, and check the choice by turns, and which are only looked at last."""
 
     fitting: list[Run]
     held_out: list[Run]
@@ -379,13 +380,13 @@ def split_runs(
         parts = [(log.series, log.series in held, log, 0, len(log.t_s)) for log in logs]
         how = WHOLE_RUNS[0]
     elif len(logs) >= RUNS_TO_HOLD_OUT_WHOLE:
-        held = [logs[k].name for k in _every_fifth(len(logs))]
-        parts = [(log.name, log.name in held, log, 0, len(log.t_s)) for log in logs]
+        held = _every_fifth(len(logs))
+        parts = [(f"run {k}", k in held, log, 0, len(log.t_s)) for k, log in enumerate(logs)]
         how = WHOLE_RUNS[1]
     elif len(logs) > 1:
         parts = [(logs[-1].name, True, logs[-1], 0, len(logs[-1].t_s))]
         for log in logs[:-1]:
-            parts += _cut(log, len(log.t_s), -(-LEAST_UNITS // (len(logs) - 1)))
+            parts += _cut(log, len(log.t_s), math.ceil(LEAST_UNITS / (len(logs) - 1)))
         how = "the last run held out; parts of the others check each other"
     else:
         [log] = logs

@@ -9,8 +9,9 @@ by which the innovations may be off, its size free within a normal prior:
                in a row's command (less its prediction from the rows before, outliers clipped) comes
                with a disturbance that it answers: at most one that cancels it, so the prior's
                deviation is 1; a column for that row and for each of the next two. (One column for
-               all that follows, fading like the filter's disturbances, draws keys by four of their
-               deviations.) Only where the command follows the innovations: a log in closed loop.
+               all that follows, fading like the filter's disturbances, draws keys by several of
+               their deviations.) Only where the command follows the innovations: a log in closed
+               loop.
     rounding   such a controller reads rounded counts and answers the rounding too: what is new in a
                row's command comes with an error of the encoder at the row's end. Deviation that of
                a count, 1 / sqrt(12), where the command is one deviation off what was expected.
