@@ -21,6 +21,7 @@ White, Econometrica 1982; Liang and Zeger 1986; few clusters: Bell and McCaffrey
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -51,6 +52,7 @@ WORTH_A_ROUND = 2.0
 """Gain of Q below which a quick fit ends."""
 MOST_ERROR = 8.0
 LEAST_STAKE = 4.0
+"""Of a vote: the gain of a change that is right is then as large as its deviation."""
 HELPED_SHARE = 0.75
 SCATTER_P_VALUE = 0.01
 
@@ -131,9 +133,13 @@ class Fit:
     residual: Array
     jacobian: Array = field(repr=False)
 
+    @cached_property
     def information(self) -> Array:
-        """Return half the second derivative of Q by the parameters in units of their scales."""
-        return _with_prior(self.jacobian.T @ self.jacobian, self.hypothesis)
+        """Half the second derivative of Q by the parameters in units of their scales."""
+        gram = self.jacobian.T @ self.jacobian
+        count = len(self.hypothesis.base)
+        gram[:count, :count] += np.eye(count)
+        return gram
 
     def slope(self, believed: Array) -> Array:
         """Return half the derivative of Q by the parameters in units of their scales."""
@@ -141,12 +147,6 @@ class Fit:
         z = prior_penalty(self.hypothesis, believed, self.hypothesis.x)
         slope[: len(z)] += z
         return slope
-
-
-def _with_prior(gram: Array, hypothesis: Hypothesis) -> Array:
-    count = len(hypothesis.base)
-    gram[:count, :count] += np.eye(count)
-    return gram
 
 
 class Data:
@@ -265,7 +265,7 @@ def fit(data: Data, hypothesis: Hypothesis, iterations: int = 10) -> Fit:
     best = _cost(data, current, residual)
     for _ in range(iterations):
         here = Fit(current, best, residual, jacobian)
-        step = solve_within(here.information(), here.slope(data.believed), *current.room())
+        step = solve_within(here.information, here.slope(data.believed), *current.room())
         rows = np.clip(current.x + np.outer(STEPS, step * scale), low, high)
         trials = [replace(current, x=row) for row in rows]
         found = data.residuals(np.stack([t.flat(data.believed) for t in trials]))
@@ -289,7 +289,7 @@ def fit_more(
     ranks them; the fit of a large effect is only near its optimum and `fit` goes on from it.
     """
     count = current.jacobian.shape[1]
-    shared = current.information()
+    shared = current.information
     models = list(starts)
     residuals = data.residuals(np.stack([m.flat(data.believed) for m in models]))
     costs = np.array([_cost(data, m, r) for m, r in zip(models, residuals, strict=True)])
@@ -328,7 +328,7 @@ def costs_refitted(data: Data, current: Fit, models: Sequence[Hypothesis]) -> Ar
 
     A start has to be judged so: the keys of a model without an effect have gone far to replace it.
     """
-    shared, room = current.information(), current.hypothesis.room()
+    shared, room = current.information, current.hypothesis.room()
     base = len(current.hypothesis.base)
     costs = np.empty(len(models))
     for first in range(0, len(models), BATCH):
@@ -352,7 +352,7 @@ def fitted_without_each_unit(data: Data, fitted: Fit) -> Array:
     hypothesis = fitted.hypothesis
     scale = np.array([p.scale for p in hypothesis.parameters])
     parts = list(zip(data.per_run(fitted.jacobian), data.per_run(fitted.residual), strict=True))
-    gram, slope = fitted.information(), fitted.slope(data.believed)
+    gram, slope = fitted.information, fitted.slope(data.believed)
     values = []
     for unit in range(int(data.units.max()) + 1):
         own = [parts[k] for k in np.flatnonzero(data.units == unit)]
@@ -565,45 +565,31 @@ def _chance(gain: float, scatter: "Scatter", parameters: int) -> float:
     return float(f_distribution.sf(max(gain, 0.0) / inflation / parameters, parameters, known_from))
 
 
-@dataclass(frozen=True)
-class Absorbed:
-    """What the fitted parameters take of some columns: parameter numbers and weights (k, columns).
+def _absorbed(fitted: Fit, columns: Array, leave_out: Sequence[int] = ()) -> tuple[Array, Array]:
+    """Regress columns (m, k) on the derivative of the fit, believed keys with their prior.
 
-    Parameters on a bound, and those left out on purpose, cannot move and take nothing.
+    Return the columns without that, and the weights of the keys (keys, k). Parameters on a bound,
+    and those left out, cannot move and take nothing.
     """
-
-    parameters: list[int]
-    weights: Array
-
-    def rest(self, jacobian: Array, columns: Array) -> Array:
-        """Return the columns (m, ...) without that, on any runs with their own derivative."""
-        return columns - jacobian[:, self.parameters] @ self.weights
-
-
-def absorbed(fitted: Fit, columns: Array, leave_out: Sequence[int] = ()) -> Absorbed:
-    """Regress columns (m, k) on the derivative of the fit, believed keys with their prior."""
-    count = len(fitted.hypothesis.base)
     others = [
         i for i in range(fitted.jacobian.shape[1]) if i not in leave_out and not at_bound(fitted, i)
     ]
     b = fitted.jacobian[:, others]
-    gram = b.T @ b + np.diag([1.0 if i < count else 0.0 for i in others])
+    gram = fitted.information[np.ix_(others, others)]
     gram += 1e-9 * np.trace(gram) / max(len(gram), 1) * np.eye(len(gram))
-    return Absorbed(others, np.linalg.solve(gram, b.T @ columns))
+    weights = np.linalg.solve(gram, b.T @ columns)
+    keys = [k for k, i in enumerate(others) if i < len(fitted.hypothesis.base)]
+    return columns - b @ weights, weights[keys]
 
 
 def free_of_fitted(fitted: Fit, columns: Array) -> Array:
     """Return columns (m, k) without what the fitted parameters explain."""
-    return absorbed(fitted, columns).rest(fitted.jacobian, columns)
+    return _absorbed(fitted, columns)[0]
 
 
 def _projected(fitted: Fit, own: list[int]) -> tuple[Array, Array]:
     """Return the columns of `own` free of what the other parameters explain, and their Gram."""
-    columns = fitted.jacobian[:, own]
-    taken = absorbed(fitted, columns, own)
-    score = taken.rest(fitted.jacobian, columns)
-    count = len(fitted.hypothesis.base)
-    pull = taken.weights[[k for k, i in enumerate(taken.parameters) if i < count]]
+    score, pull = _absorbed(fitted, fitted.jacobian[:, own], own)
     return score, score.T @ score + pull.T @ pull
 
 

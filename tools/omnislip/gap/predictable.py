@@ -73,7 +73,7 @@ def predictable_shares(
         return []
     features, targets, there, owners = [], [], [], []
     gear = float(machine.model.values["motor.gear_ratio"])
-    tracks = track_all(machine, runs, values, noise, keep_linear=True)
+    tracks = track_all(machine, runs, values, noise)
     late_s = ANSWERED_S if commands_answer(machine, runs, tracks) else 0.0
     after = _states(runs, tracks)
     before = _states(runs, track_all(machine, runs, without, noise))

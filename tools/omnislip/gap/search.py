@@ -236,7 +236,7 @@ def settle(
         fitted = fit(data, hypothesis)
         moved = (fitted.hypothesis.x - hypothesis.x) / scale
         hypothesis = fitted.hypothesis
-        if moved @ fitted.information() @ moved < SETTLED:
+        if moved @ fitted.information @ moved < SETTLED:
             break
     return data, fitted
 
@@ -318,7 +318,7 @@ def _promise(
         columns = -columns
         start[phase[0]] = _half_turn(start[phase[0]] + np.pi)
     cross = current.jacobian.T @ columns
-    whole = np.block([[current.information(), cross], [cross.T, columns.T @ columns]])
+    whole = np.block([[current.information, cross], [cross.T, columns.T @ columns]])
     slope = np.concatenate([current.slope(data.believed), columns.T @ current.residual])
     low, high = _possible_amounts(data.machine, candidate)
     below, above = current.hypothesis.room()
@@ -647,8 +647,10 @@ def _verdict(evidence: Evidence, chance: float, check: Check, gained: float) -> 
         return f"could be chance (p = {chance:.2g} over everything tried)", False
     if check.gain <= 0:
         return "makes runs worse that were not fitted", False
+    voters = int(np.sum(check.voters))
+    if not voters:
+        return "changes no run enough to be checked there", False
     if not check.helps:
-        voters = int(np.sum(check.voters))
         return f"helps only {check.helped} of {voters} runs that were not fitted", False
     if evidence.gain < LEAST_SHARE * gained:
         return "real perhaps, but under 1 % of what was found", False
