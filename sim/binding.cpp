@@ -205,6 +205,17 @@ UserTermList list_of(const std::vector<UserTerm> &terms) {
     return {terms.data(), static_cast<int>(terms.size())};
 }
 
+Recording rising(const Recording &held, const Array2 &rise) {
+    require(rise.size() == held.command.size() &&
+                rise.shape(0) == static_cast<std::size_t>(held.rows),
+            "rise must have the shape of command");
+    Recording r = held;
+    r.rise.assign(rise.data(), rise.data() + rise.size());
+    for (std::size_t k = r.rise.size() - rise.shape(1); k < r.rise.size(); ++k)
+        require(r.rise[k] == 0.0, "the last row has no end to rise to");
+    return r;
+}
+
 class Engine {
   public:
     Engine(const std::string &kind, int widest_lanes, const nb::list &user_effects, bool electric) {
@@ -637,9 +648,10 @@ void limit_engine_threads(int count) {
 void bind_replay(nb::module_ &m) {
     m.def("limit_threads", &limit_engine_threads, "count"_a,
           "Engines of this process start at most so many threads; without it one per core.");
-    nb::class_<Recording>(m, "Recording").def_prop_ro("rows", [](const Recording &r) {
-        return r.rows;
-    });
+    nb::class_<Recording>(m, "Recording")
+        .def_prop_ro("rows", [](const Recording &r) { return r.rows; })
+        .def("rising", &rising, "rise"_a,
+             "The same with commands that rise (rows, motors) evenly within each row.");
     nb::class_<Track>(m, "Track", "Arrays are flat, row major: see replay.h for their layout.")
         .def_ro("log_likelihood", &Track::log_likelihood)
         .def_prop_ro("state", [](const Track &t) { return copy_to_numpy(t.state); })

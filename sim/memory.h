@@ -155,19 +155,21 @@ bool jumps(const double *command) {
     return found;
 }
 
-/* The commands of a log up to `row`, each held from its time to the next, the first also before:
- * what the drivers of a plant see on average from begin to end, at once if they are the same. */
+/* The commands of a log up to `row`, from each time to the next, the first also before: what the
+ * drivers of a plant see on average from begin to end, at once if they are the same. A command is
+ * held, or rises evenly by `rise` around its mean (null: all are held). */
 template <class Plant>
 class LoggedCommands {
   public:
-    LoggedCommands(const Plant &plant, const double *time_s, const double *command, long row)
-        : plant_(plant), time_s_(time_s), command_(command), row_(row) {}
+    LoggedCommands(const Plant &plant, const double *time_s, const double *command, long row,
+                   const double *rise = nullptr)
+        : plant_(plant), time_s_(time_s), command_(command), row_(row), rise_(rise) {}
 
     template <class S>
     void operator()(double begin_s, double end_s, S *command) const {
         constexpr int n = Plant::kMotors;
         for (int i = 0; i < n; ++i) {
-            command[i] = S(command_[row_ * n + i]);
+            command[i] = S(in_row(i, row_, begin_s, end_s));
             if (plant_.delays()) {
                 const S &delay_s = plant_.constants().delay_s[i];
                 command[i] = from_lanes<S>([&](int k) {
@@ -194,24 +196,35 @@ class LoggedCommands {
 
   private:
     double mean(int motor, double begin_s, double end_s) const {
-        const double *command = command_ + motor;
         const double length_s = end_s - begin_s;
         double sum = 0.0;
         long row = row_;
         for (; row > 0 && time_s_[row] > begin_s; --row) {
             if (time_s_[row] < end_s) {
-                sum += (end_s - time_s_[row]) * command[row * Plant::kMotors];
+                sum += (end_s - time_s_[row]) * in_row(motor, row, time_s_[row], end_s);
                 end_s = time_s_[row];
             }
         }
-        const double earliest = command[row * Plant::kMotors];
+        const double earliest = in_row(motor, row, begin_s, end_s);
         return end_s - begin_s == length_s ? earliest
                                            : (sum + (end_s - begin_s) * earliest) / length_s;
+    }
+
+    /* Mean command from begin to end, both within the row. */
+    double in_row(int motor, long row, double begin_s, double end_s) const {
+        const long at = row * Plant::kMotors + motor;
+        if (rise_ == nullptr || rise_[at] == 0.0)
+            return command_[at];
+        const double length_s = time_s_[row + 1] - time_s_[row];
+        const double middle_s = 0.5 * (begin_s + end_s) - time_s_[row];
+        const double passed = std::min(std::max(middle_s / length_s, 0.0), 1.0);
+        return command_[at] + rise_[at] * (passed - 0.5);
     }
 
     const Plant &plant_;
     const double *time_s_, *command_;
     long row_;
+    const double *rise_;
 };
 
 }  // namespace OMNISLIP_INSTRUCTION_SET

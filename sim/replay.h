@@ -1,7 +1,7 @@
 /* replay.h - recorded commands driven through the model: predictor, innovations, replays.
  *
- * A recording is one run: times, the command held from each row to the next, and what the sensors
- * showed (NaN = not sampled in that row). Four computations over it:
+ * A recording is one run: times, the command from each row to the next, and what the sensors showed
+ * (NaN = not sampled in that row). Four computations over it:
  *
  *   track        an extended Kalman filter of one model. It gives, row by row, the gain K_k and the
  *                factor W_k with W_k S_k W_k' = I, S_k the covariance of the innovation; also the
@@ -48,6 +48,7 @@ struct Recording {
     int rows = 0;
     std::vector<double> time_s, command, output;
     std::vector<double> initial_state;
+    std::vector<double> rise{}; /* of the command within the row, around its mean; empty: held */
 };
 
 /* Noise of the filter: variances per second added to each state, variances of the outputs, the

@@ -96,14 +96,18 @@ class KernelOf final : public Kernel {
         }
     }
 
+    static LoggedCommands<Plant> logged(const Plant &plant, const Recording &recording, long row) {
+        const double *rise = recording.rise.empty() ? nullptr : recording.rise.data();
+        return {plant, recording.time_s.data(), recording.command.data(), row, rise};
+    }
+
     /* What the sensors show in row k with state and memory x [kAll]; currents flow under the
      * command that begins there. */
     static void observe(const Plant &plant, const Recording &recording, long k, const S *x, S *y) {
         const double time_s = recording.time_s[k];
         plant.output(x, S(time_s), y);
         if constexpr (kElectric > 0) {
-            const LoggedCommands<Plant> commands(plant, recording.time_s.data(),
-                                                 recording.command.data(), k);
+            const LoggedCommands<Plant> commands = logged(plant, recording, k);
             S command[kMotors], dx[kAll];
             Internals in;
             commands(time_s, time_s, command);
@@ -157,13 +161,13 @@ class KernelOf final : public Kernel {
     static void advance_row(const Loaded &loaded, const Recording &recording, long k, double step_s,
                             S *x, Internals &in) {
         const double *time_s = recording.time_s.data();
-        const double *command = recording.command.data();
         const double duration_s = time_s[k + 1] - time_s[k];
         if constexpr (Plant::kKind == kOdometry) {
-            const ShownCommands<S> commands(loaded.plant, time_s, command, k, recording.rows);
+            const ShownCommands<S> commands(loaded.plant, time_s, recording.command.data(), k,
+                                            recording.rows);
             advance(loaded.plant, x, commands, time_s[k], duration_s, kArc_s, 0.0, in);
         } else {
-            const LoggedCommands<Plant> commands(loaded.plant, time_s, command, k);
+            const LoggedCommands<Plant> commands = logged(loaded.plant, recording, k);
             advance(loaded.plant, x, commands, time_s[k], duration_s, commands.step_s(step_s),
                     loaded.rate_1_s, in);
         }

@@ -33,16 +33,21 @@ def parameter_set(kind="robot", base=None, effects=()) -> np.ndarray:
     return flat
 
 
-def simulate(sets, time, command, initial=None, kind="robot", step_s=1e-3, lanes=8) -> np.ndarray:
+def simulate(
+    sets, time, command, initial=None, kind="robot", step_s=1e-3, lanes=8, rise=None
+) -> np.ndarray:
     """Outputs (sets, rows, outputs) of a replay that nothing restarts and no gain corrects.
 
-    sets: (sets, parameters); time: (rows,) s; command: (rows, motors), held to the next row. The
-    recording "shows" zero everywhere, so the engine's errors are the negative of the outputs.
+    sets: (sets, parameters); time: (rows,) s; command: (rows, motors), held to the next row or,
+    with `rise` (rows, motors), rising evenly by that around its mean. The recording "shows" zero
+    everywhere, so the engine's errors are the negative of the outputs.
     """
     engine = _core.Engine(kind, lanes)
     silent = np.zeros((len(time), engine.outputs))
     start = np.zeros(engine.states) if initial is None else np.asarray(initial, float)
     recording = engine.recording(time, np.ascontiguousarray(command, float), silent, start)
+    if rise is not None:
+        recording = recording.rising(np.ascontiguousarray(rise, float))
     certain = np.zeros(engine.states)
     tracks = engine.track([recording], sets[0], certain, np.ones(engine.outputs), certain)
     return -engine.replays([recording], tracks, np.asarray(sets), step_s, 1e9)[0]

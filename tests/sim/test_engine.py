@@ -177,6 +177,37 @@ def test_equal_scale_of_all_forces_changes_nothing(duty, scale):
     np.testing.assert_allclose(scaled, plain, rtol=1e-9, atol=1e-9)
 
 
+# ---- commands that rise within a row ----
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 0.013])
+def test_a_command_that_rises_is_as_many_small_steps(delay_s):
+    """Its mean stays; also where a row's command is still on its way while the next one begins."""
+    parts, rows = 50, 12
+    time, duty = np.arange(rows) * 0.02, random_duty(rows, seed=9)
+    rise = random_duty(rows, seed=10)
+    rise[[0, -1]] = 0.0
+    passed = (np.arange(parts) + 0.5) / parts - 0.5
+    fine_time = np.append((time[:-1, None] + 0.02 * np.arange(parts) / parts).ravel(), time[-1])
+    fine_duty = (duty[:-1, None] + rise[:-1, None] * passed[:, None]).reshape(-1, 4)
+    values = parameter_set(effects=[("actuation_delay", "delay_s", delay_s)])
+    [expected] = simulate([values], fine_time, np.vstack([fine_duty, duty[-1:]]), step_s=1e-3)
+    [found] = simulate([values], time, duty, step_s=1e-4, rise=rise)
+    [held] = simulate([values], time, duty, step_s=1e-4)
+    missed = np.abs(held - expected[::parts]).max(axis=0)
+    assert np.all(missed[:8] > 0)
+    assert np.all(np.abs(found - expected[::parts]).max(axis=0) < 2e-3 * missed.max())
+
+
+def test_a_rise_of_another_shape_or_beyond_the_log_is_refused():
+    engine = _core.Engine("robot")
+    run = engine.recording(np.arange(5.0), np.zeros((5, 4)), np.zeros((5, 8)), np.zeros(14))
+    run.rising(np.zeros((5, 4)))
+    for wrong in (np.zeros((4, 4)), np.zeros((5, 3)), np.ones((5, 4))):
+        with pytest.raises(ValueError):
+            run.rising(wrong)
+
+
 # ---- wrong input ----
 
 

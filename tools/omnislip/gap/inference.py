@@ -165,7 +165,9 @@ class Data:
         self.units = np.array([units.index(run.unit) for run in self.runs])
         """Number of the unit of each run (runs,)."""
         self.scale = 1.0
-        self.hidden = Projection(self._kept_only(hidden_columns(machine, runs, self.tracks)))
+        self.hidden = Projection(
+            self._kept_only(hidden_columns(machine, runs, self.tracks, values))
+        )
         residual = self.residuals(values[None])[0]
         self.scale = float(np.sqrt(np.sum(residual**2) / max(np.count_nonzero(residual), 1)))
 

@@ -1,27 +1,29 @@
 """What the rows of a log hide: how the command moved within them, and with what.
 
 A log at 200 Hz holds the mean command of every row. A controller at 1 kHz moves it within the row,
-and partly in answer to what disturbs the wheels in that row. Four consequences are systematic,
+and partly in answer to what disturbs the wheels in that row. Three consequences are systematic,
 not noise, and would pass for lags, friction or inductance. None can be measured; each is a column
 by which the innovations may be off, its size free within a normal prior:
 
+    rise       a command that rises evenly within a row gives the shaft the same speed as its mean,
+               but less way; where the contact settles within a row (wheels that grip), what counts
+               is where the command ends; and a current that is measured at the row's begin flows
+               under less than the mean. The plant itself says what: innovations with commands that
+               rise, less those with commands that are held. One column for a rise as from the row
+               before and, in open loop, one as to the row after (in a closed loop that one holds
+               the answer to this row), deviation 1: a command that is held from row to row has
+               none of it, one that moves smoothly half of each.
     feedback   the controller takes speed away that a disturbance gave within the row. What is new
                in a row's command (less its prediction from the rows before, outliers clipped) comes
                with a disturbance that it answers: at most one that cancels it, so the prior's
-               deviation is 1; a column for that row and for each of the next two. (One column for
-               all that follows, fading like the filter's disturbances, draws keys by several of
-               their deviations.) Only where the command follows the innovations: a log in closed
-               loop.
+               deviation is 1; a column for that row and for each of the next two, of each pattern
+               of wheels: those of a body that moves, those of one that turns, and wheels that work
+               against each other, for how much of each is answered differs. (One column for all
+               draws keys by several of their deviations.) Only where the command follows the
+               innovations: a log in closed loop.
     rounding   such a controller reads rounded counts and answers the rounding too: what is new in a
                row's command comes with an error of the encoder at the row's end. Deviation that of
                a count, 1 / sqrt(12), where the command is one deviation off what was expected.
-    trend      a command that rises evenly by s in a row of length h gives the shaft the speed that
-               its mean gives, but h^2 s / 12 of acceleration less way: as if it came a twelfth of
-               a row late. Deviation 1 of that, s from the row before; a command that is held from
-               row to row has none. (From the row after too, s would hold the answer to this row.)
-    begin      a current is measured at the row's begin, where a command that moves evenly is half
-               way between the means of both rows, a command that is held at its own mean.
-               Deviation 1 of this half way.
 
 Integrating the sizes out of the likelihood (covariance I + N N' in place of I) is a projection of
 the whitened innovations: with N = U S V', r becomes r - U (1 - 1 / sqrt(1 + S^2)) U' r.
@@ -35,8 +37,8 @@ import numpy.typing as npt
 
 from omnislip import _core
 from omnislip.gap.machine import Machine
-from omnislip.gap.noise import CURRENT, count_rad, stall_acceleration_rad_s2, stall_current_a
-from omnislip.gap.recordings import Run
+from omnislip.gap.noise import count_rad, stall_acceleration_rad_s2
+from omnislip.gap.recordings import Run, wheel_jacobian
 
 Array = npt.NDArray[np.float64]
 
@@ -51,41 +53,82 @@ PAST = 6
 """Rows from which a command is predicted."""
 CLIP = 3.0
 ANSWERED_ROWS = 3
-# Columns: disturbances in the row of the answer and after it, rounding, trend and begin.
-ROUNDING, TREND, BEGIN = range(ANSWERED_ROWS, ANSWERED_ROWS + 3)
-COLUMNS = BEGIN + 1
+RISING_STEP_S = 1e-3
 
 
-def hidden_columns(machine: Machine, runs: Sequence[Run], tracks: Sequence[_core.Track]) -> Array:
+def hidden_columns(
+    machine: Machine, runs: Sequence[Run], tracks: Sequence[_core.Track], values: Array
+) -> Array:
     """Return whitened columns (all rows * outputs, columns) of `tracks` that kept their matrices.
 
-    No column for machines other than robots.
+    The tracks are those of the flat parameter set `values`. No column for machines other than
+    robots.
     """
-    outputs = machine.engine.outputs
     if machine.kind != "robot":
-        return np.zeros((sum(len(run.t_s) for run in runs) * outputs, 0))
+        return np.zeros((sum(len(run.t_s) for run in runs) * machine.engine.outputs, 0))
     news, follows = _news(machine, runs, tracks)
+    columns = _rises(machine, runs, tracks, values, only_back=follows)
+    if follows:
+        answers = [
+            _answers(machine, run, track, new)
+            for run, track, new in zip(runs, tracks, news, strict=True)
+        ]
+        columns = np.hstack([np.concatenate(answers), columns])
+    return columns
+
+
+def _rises(
+    machine: Machine,
+    runs: Sequence[Run],
+    tracks: Sequence[_core.Track],
+    values: Array,
+    only_back: bool,
+) -> Array:
+    """Return what commands that rise within rows do to whitened innovations, by the plant."""
+    recordings = [run.recording for run in runs]
+    back = [np.diff(run.command, axis=0, prepend=run.command[:1]) for run in runs]
+    fore = [np.diff(run.command, axis=0, append=run.command[-1:]) for run in runs]
+    for rise in (*back, *fore):
+        rise[-1] = 0.0
+    driven = [recordings] + [
+        [held.rising(rise) for held, rise in zip(recordings, rises, strict=True)]
+        for rises in ((back,) if only_back else (back, fore))
+    ]
+    found = machine.engine.innovations(
+        [one for group in driven for one in group],
+        list(tracks) * len(driven),
+        values[None],
+        step_s=RISING_STEP_S,
+    )
+    held, *rising = (
+        np.concatenate([array[0] for array in found[first : first + len(runs)]]).ravel()
+        for first in range(0, len(found), len(runs))
+    )
+    return np.stack([one - held for one in rising], axis=1)
+
+
+def _answers(machine: Machine, run: Run, track: _core.Track, new: Array) -> Array:
+    """Return what goes with the answers `new` (rows, 4): (rows * outputs, columns)."""
+    rows, outputs = run.outputs.shape
+    patterns = _patterns(machine)
+    count = len(patterns) * ANSWERED_ROWS
+    push = np.zeros((rows, machine.engine.filter_states, count + 1))
+    shown = np.zeros((rows, outputs, count + 1))
     full_rad_s2 = stall_acceleration_rad_s2(machine)
-    found = []
-    for run, track, new in zip(runs, tracks, news, strict=True):
-        rows = len(run.t_s)
-        push = np.zeros((rows, machine.engine.filter_states, COLUMNS))
-        shown = np.zeros((rows, outputs, COLUMNS))
-        change = np.diff(run.command, axis=0, prepend=run.command[:1])
-        push[:-1, 4:8, TREND] = -full_rad_s2 * change[:-1] * np.diff(run.t_s)[:, None] / 12.0
-        if follows:
-            for late in range(ANSWERED_ROWS):
-                push[late:, :4, late] = full_rad_s2 * new[: rows - late]
-            shown[1:, :4, ROUNDING] = (
-                new[:-1] / max(_spread(new), 1e-12) * count_rad(machine) / np.sqrt(12.0)
-            )
-        if machine.electric:
-            shown[:, CURRENT, BEGIN] = -0.5 * stall_current_a(machine) * change
-        shown[np.isnan(run.outputs)] = 0.0
-        response = whitened_response(machine, run, track, push, shown)
-        found.append(response.reshape(-1, COLUMNS))
-    columns = np.concatenate(found)
-    return columns[:, np.any(columns != 0.0, axis=0)]
+    for column in range(count):
+        pattern, late = divmod(column, ANSWERED_ROWS)
+        push[late:, :4, column] = full_rad_s2 * (new @ patterns[pattern])[: rows - late]
+    shown[1:, :4, count] = new[:-1] / max(_spread(new), 1e-12) * count_rad(machine) / np.sqrt(12.0)
+    shown[np.isnan(run.outputs)] = 0.0
+    return whitened_response(machine, run, track, push, shown).reshape(-1, count + 1)
+
+
+def _patterns(machine: Machine) -> tuple[Array, Array, Array]:
+    """Return projectors (4, 4) on wheels of a body that moves, that turns, and against it."""
+    jacobian = wheel_jacobian(machine)
+    together = jacobian @ np.linalg.pinv(jacobian)
+    turning = jacobian[:, 2:] @ np.linalg.pinv(jacobian[:, 2:])
+    return together - turning, turning, np.eye(4) - together
 
 
 def commands_answer(machine: Machine, runs: Sequence[Run], tracks: Sequence[_core.Track]) -> bool:
