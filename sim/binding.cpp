@@ -206,9 +206,9 @@ UserTermList list_of(const std::vector<UserTerm> &terms) {
 }
 
 Recording rising(const Recording &held, const Array2 &rise) {
-    require(rise.size() == held.command.size() &&
-                rise.shape(0) == static_cast<std::size_t>(held.rows),
-            "rise must have the shape of command");
+    require(
+        rise.size() == held.command.size() && rise.shape(0) == static_cast<std::size_t>(held.rows),
+        "rise must have the shape of command");
     Recording r = held;
     r.rise.assign(rise.data(), rise.data() + rise.size());
     for (std::size_t k = r.rise.size() - rise.shape(1); k < r.rise.size(); ++k)
