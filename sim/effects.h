@@ -260,7 +260,7 @@ struct DriverNonlinearity : Effect {
                                         kRobot | kAxis,
                                         kCommand,
                                         1,
-                                        {{"cubic", "1", 0.0, -0.6, 0.6, 0.08}}};
+                                        {{"cubic", "1", 0.0, -1.5, 1.5, 0.08}}};
     template <class S, int N>
     static void command(CommandTerm<S, N> &c, const Values<S> &p) {
         for (int i = 0; i < N; ++i) {

@@ -39,9 +39,9 @@ LEAST_RATIO = 60.0
 """g beyond which chance is out of the question (p = 6e-13; rows of an hour: 7e5)."""
 OVER_LEVEL = 12.0
 """Factor by which g must exceed the 80th percentile of its run (4.6 where nothing is wrong)."""
-EXPLAINED = 0.1
-"""Share of the squared innovations of the horizon that the jump must take away. Not more: after a
-hard push wheels slide, and the linear response is far off (0.35 for a push of 0.32 m/s)."""
+EXPLAINED, HARD_RATIO = 0.35, 1000.0
+"""Share of the squared innovations of the horizon that the jump must take away; and g from which
+the replay alone decides: after a hard push wheels slide, and the linear response is far off."""
 REPLAYED = 0.8
 """The same share of the plant's own replay: pushes of 0.06 to 0.5 m/s explained 0.96 and more of
 it, what wheels that break loose in violent driving feign 0.5 to 0.77."""
@@ -107,7 +107,7 @@ def find_impacts(
         ratio, jump, explained = pushes.ratios()
         level = float(np.percentile(ratio, 80))
         for peak in _peaks(run.t_s, ratio, max(LEAST_RATIO, OVER_LEVEL * level)):
-            if explained[peak] >= EXPLAINED:
+            if explained[peak] >= EXPLAINED or ratio[peak] >= HARD_RATIO:
                 row = pushes.likeliest_row(peak)
                 filtered = track.state.reshape(len(run.t_s), -1)
                 impact = _size_up(machine, run, row, values, noise, filtered, jump[row])

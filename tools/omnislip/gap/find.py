@@ -72,6 +72,9 @@ the names are right in place perhaps, but wrong in shape."""
 PREDICTED_SHARE = 0.15
 """Share of the filter's disturbances that other runs predict; where nothing is missing it is below
 0.1. More than half of the runs have to be helped: some hardly excite what is missing."""
+VARIES, VARIES_SURELY = 1.0 / 3.0, 3.0
+"""Change of an effect's size from half second to half second, relative to itself, from which it is
+not what is there; and the inflation, 1 for white residuals, from which that is no chance."""
 EXPLAINED = 0.9
 LEAST_EXCESS = 0.5
 """Excess of the square error, in noise floors, that counts as something left."""
@@ -298,9 +301,14 @@ def _verdict(outcome: Outcome, table: GapTable, mended: bool, shares: Sequence[P
     better_term = bool(outcome.leftover) and outcome.leftover[0].gain > UNKNOWN_SHARE * named
     if better_term or _refused(outcome) > max(HOPEFUL_GAIN, named) or _much_is_left(table):
         return "unknown_effect"
-    if any(_no_chance(one) for one in shares):
+    if any(_no_chance(one) for one in shares) or any(map(_varies, outcome.selected)):
         return "unknown_effect"
     return "effect_found" if outcome.selected or mended else "no_gap"
+
+
+def _varies(one: Selected) -> bool:
+    """Whether the size of an effect is not the same throughout the logs."""
+    return one.evidence.variation > VARIES and one.evidence.inflation > VARIES_SURELY
 
 
 def _no_chance(found: Predictable) -> bool:
@@ -500,6 +508,11 @@ def _sentence(
                 f": {100 * shares[0].share:.0f} % of what passes for chance in "
                 f"{shares[0].equation} can be predicted from commands, speeds and place"
             )
+        text += "".join(
+            f"; the size of {one.candidate.name}, which is nearest, changes by"
+            f" {100 * one.evidence.variation:.0f} % from half second to half second"
+            for one in filter(_varies, outcome.selected)
+        )
         text += "."
         return text + (f" Nearest known: {'; '.join(parts)}." if parts else "")
     text = "Missing: " + "; ".join(parts) + "."
@@ -569,10 +582,9 @@ def to_json(findings: Findings) -> dict[str, Any]:
     machine, outcome, table = findings.machine, findings.outcome, findings.table
     passed = [_effect_json(findings, s) for s in outcome.selected] if outcome else []
     unknown = findings.verdict == "unknown_effect"
-    effects, nearest = ([], passed) if unknown else (passed, [])
-    mended = [_wiring_json(effect) for effect in findings.wiring]
-    mended += [_impact_json(impact) for impact in findings.impacts]
-    effects = mended + effects
+    found = [_impact_json(impact) for impact in findings.impacts] + passed
+    effects, nearest = ([], found) if unknown else (found, [])
+    effects = [_wiring_json(effect) for effect in findings.wiring] + effects
     return {
         "schema": SCHEMA,
         "verdict": findings.verdict,
@@ -695,6 +707,7 @@ def _effect_json(findings: Findings, selected: Selected) -> dict[str, Any]:
             "gain": evidence.gain,
             "inflation": evidence.inflation,
             "p_value": evidence.p_value,
+            "variation": evidence.variation,
             "stability": selected.stability if np.isfinite(selected.stability) else None,
         },
     }

@@ -521,12 +521,17 @@ class Evidence:
 
     `gain` is T, `inflation` c, `p_value` that of the F-test for one candidate; `covariance` of the
     effect's parameters in their units, inflated by the same factor.
+
+    `variation` is how much the effect's size changes from block to block, relative to itself: with
+    I_b the information of a block and a size x (1 + v_b) in it, the block sums of the score vary by
+    c - 1 = x^2 var(v) sum I_b^2 / sum I_b beyond what white residuals would, and T = x^2 sum I_b.
     """
 
     gain: float
     inflation: float
     p_value: float
     covariance: Array
+    variation: float = 0.0
 
 
 def weigh(data: Data, without: Fit, with_effect: Fit, index: int) -> Evidence:
@@ -557,7 +562,17 @@ def weigh(data: Data, without: Fit, with_effect: Fit, index: int) -> Evidence:
         chance = _chance(gain - float(np.sum(squares[~others])), rest, len(own))
         p_value = min(p_value, chance * (int(data.blocks[-1]) + 1))
     covariance = np.linalg.pinv(information) * np.outer(scale, scale) * scatter.inflation
-    return Evidence(gain, scatter.inflation, p_value, covariance)
+    variation = _variation(data, *tested, gain, scatter.inflation)
+    return Evidence(gain, scatter.inflation, p_value, covariance, variation)
+
+
+def _variation(
+    data: Data, score: Array, information: Array, gain: float, inflation: float
+) -> float:
+    by_row = np.sum((score @ np.linalg.pinv(information, hermitian=True)) * score, axis=1)
+    by_block = np.bincount(data.blocks, by_row)
+    blocks = np.sum(by_block) ** 2 / max(float(np.sum(by_block**2)), 1e-300)
+    return float(np.sqrt((inflation - 1.0) * blocks / max(gain, 1e-9)))
 
 
 def _chance(gain: float, scatter: "Scatter", parameters: int) -> float:

@@ -39,8 +39,9 @@ QUIET, WINDOW_ROWS = 10.0, 20
 """A sensor at rest: percentile of the variances of windows."""
 STEP_S = 2.5e-3
 """Integration step of predictions: against 0.1 ms it changes whitened innovations by 0.001."""
-CONVERGED = 3.0
-"""Gain of log-likelihood below which another round is not worth it."""
+CONVERGED, LITTLE = 3.0, 0.01
+"""Gain of log-likelihood below which another round is not worth it, alone and as a share of what
+was gained before: where that is much the model is off, and will be fitted before the next path."""
 
 
 @dataclass(frozen=True)
@@ -189,7 +190,7 @@ class _Path:
             if not gained > 0:
                 break
             whole, logs, damping = whole + gained, trials[best], damping * 5.0**best * 0.2
-            if gained < CONVERGED:
+            if gained < max(CONVERGED, LITTLE * whole):
                 break
         return whole, logs
 
@@ -216,18 +217,18 @@ class _Path:
     def _score(self, logs: Array) -> tuple[float, Array, Array]:
         """Return log-likelihood, its slope and the information at `logs`.
 
-        With S_k = L L' the covariance of row k, what variance i does to it is
-        D_ik = L^-1 (dS_k / d log v_i) L'^-1, and the information is I_ij = sum_k tr(D_ik D_jk) / 2.
+        With S_k the covariance of row k and D_ik = S_k^-1 dS_k / d log v_i, what variance i does to
+        it, the information is I_ij = sum_k tr(D_ik D_jk) / 2.
         """
         count = len(logs)
         totals, covariance = self._look(np.vstack([logs, logs + PROBE * np.eye(count)]))
-        m = covariance.shape[-1]
+        rows, m = covariance.shape[1:3]
         unsampled = np.diagonal(covariance[0], axis1=1, axis2=2) == 0
-        root = np.linalg.cholesky(covariance[0] + np.eye(m) * unsampled[:, None, :])
-        white = np.linalg.inv(root)
-        changes = (white @ (covariance[1:] - covariance[0]) @ white.transpose(0, 2, 1)) / PROBE
-        changes = changes.reshape(count, -1)
-        information = 0.5 * changes @ changes.T + PULL * np.eye(count)
+        inverse = np.linalg.inv(covariance[0] + np.eye(m) * unsampled[:, None, :])
+        beside = (covariance[1:] - covariance[0]).transpose(1, 2, 0, 3).reshape(rows, m, -1)
+        changes = (inverse @ beside / PROBE).reshape(rows, m, count, m).transpose(2, 0, 1, 3)
+        turned = changes.transpose(0, 1, 3, 2).reshape(count, -1)
+        information = 0.5 * changes.reshape(count, -1) @ turned.T + PULL * np.eye(count)
         slope = (totals[1:] - totals[0]) / PROBE + 0.5 * PROBE * np.diag(information)
         return float(totals[0]), slope, information
 

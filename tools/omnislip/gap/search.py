@@ -72,7 +72,9 @@ BEAM, BEAM_REFITS = 3, 6
 RESAMPLES, LEAST_RUNS_TO_RESAMPLE = 1000, 4
 MOST_TUNINGS, SETTLED = 6, 1.0
 """Times that noise and model are fitted in turn; change of Q by what the fit moved that ends it."""
-PATCH_SCALES = (0.3, 0.5, 0.7, 0.9)
+PATCH_SCALES, PATCH_SHARE = (0.3, 0.5, 0.7, 0.9), 0.2
+"""Grips of a patch to try; share of the best promise from which its edges are looked for: those of
+the screen are coarse, but explain more than a fifth of what the right ones do."""
 EDGE_HALVINGS, EDGE_STEPS = 3, np.array([-1.0, 1.0])
 """An edge moves over a grid, then by halves, quarters and eighths of its spacing."""
 
@@ -186,7 +188,10 @@ def search(
         data, current = settle(machine, runs, accepted.hypothesis, data.noise)
         current = _patch_again(data, _extend(machine, data, current))
         current = _drop_needless(data, current, tried)
+        chosen = current.hypothesis.effects
         current = _swap(data, current, neighbours, progress)
+        left = {effect.name for effect in current.hypothesis.effects}
+        candidates += [effect for effect in chosen if effect.name not in left]
         if len(current.hypothesis.effects) == MOST_EFFECTS:
             break
     progress("looking for what no effect explains")
@@ -396,7 +401,11 @@ def _refit(data: Data, current: Fit, screened: Sequence[Screened]) -> list[Fit]:
     starts = [
         own[int(np.argmin(c))] for own, c in zip(offered, np.split(costs, edges), strict=True)
     ]
-    starts = [_edges_moved(data, current, start) for start in starts]
+    hopeful = PATCH_SHARE * max(one.promise for one in screened)
+    starts = [
+        _edges_moved(data, current, start) if one.promise >= hopeful else start
+        for one, start in zip(screened, starts, strict=True)
+    ]
     fits = fit_more(data, current, starts)
     order = np.argsort([one.objective for one in fits])
     best = current.objective - fits[order[0]].objective
