@@ -257,6 +257,26 @@ def test_what_one_block_shows_alone_is_no_evidence(exact):
     assert weighed(exact, np.arange(40) == 0).p_value > 0.1
 
 
+@pytest.mark.parametrize("deviation", [0.0, 0.5])
+def test_how_a_size_changes_from_block_to_block_is_seen(exact, deviation):
+    """Sizes 1 + v of 60 blocks that show the effect unevenly; v is known to a tenth from them."""
+    rng = np.random.default_rng(1)
+    blocks = np.repeat(np.arange(60), 50)
+    column, noise = rng.standard_normal((2, blocks.size))
+    column *= np.repeat(rng.uniform(0.5, 2.0, 60), 50)
+    sizes = 1.0 + deviation * np.repeat(rng.standard_normal(60), 50)
+    wanted = noise - column * sizes
+    size = -(column @ wanted) / (column @ column)
+    left = wanted + size * column
+    effect = candidate(exact, "coulomb_friction")
+    alone = Hypothesis((), (effect,), np.array([size * effect.parameters[0].scale]))
+    with_effect = Fit(alone, float(left @ left), left, column[:, None])
+    nothing = Hypothesis((), (), np.zeros(0))
+    without = Fit(nothing, float(wanted @ wanted), wanted, np.zeros((wanted.size, 0)))
+    found = weigh(SimpleNamespace(blocks=blocks), without, with_effect, 0).variation
+    assert found == pytest.approx(deviation, abs=0.1)
+
+
 # ---- runs left out ----
 
 

@@ -47,7 +47,7 @@ REPLAYED = 0.8
 it, what wheels that break loose in violent driving feign 0.5 to 0.77."""
 HOPEFUL = 0.6
 """The same share at one of every `COARSE` times, below which the others are not tried."""
-LEAST_JUMP_M_S = 0.04
+LEAST_JUMP_M_S = 0.045
 """A seam in the floor or a wheel that spins up makes smaller jumps: no push to be named."""
 MOST_JUMP_M_S = 2.5
 COMMAND_JUMP = 0.1

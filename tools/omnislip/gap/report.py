@@ -398,7 +398,7 @@ def _thresholds() -> list[tuple[str, str]]:
             f"{100 * inference.HELPED_SHARE:g} %",
             "least share of the runs that an effect must improve by sizes that fit the others",
         ),
-        (f"{100 * search.LEAST_SHARE:g} %", "least share of all that the effects have gained"),
+        (f"{100 * search.SHAPE_SHARE:g} %", "least share of all that the effects have gained"),
         (
             f"{search.RIVAL_MARGIN:g}",
             "a rival whose gain is smaller by less than this cannot be told from the effect",

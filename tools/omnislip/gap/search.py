@@ -7,7 +7,7 @@ candidates fully, and takes the best one if all of these hold:
     validation   on each run, by sizes that were fitted to the others, the gain is positive in sum,
                  and in 3 of 4 runs or beyond its scatter from run to run; free replays come nearer,
                  too (leave one out; the linear step that takes a run out of a fit is nearly exact)
-    size         at least `LEAST_SHARE` of all that effects have gained so far
+    size         at least `SHAPE_SHARE` of all that effects have gained so far
 
 The base keys are refitted with every candidate, because they absorb much of most effects. After a
 step the noise is tuned again (an explained defect no longer counts as noise), and every accepted
@@ -48,7 +48,6 @@ Array = npt.NDArray[np.float64]
 Progress = Callable[[str], None]
 
 ALPHA = 0.01
-LEAST_SHARE = 0.01
 SHAPE_SHARE = 1e-3
 MOST_EFFECTS, MOST_STEPS = 4, 6
 NEIGHBOURS, RIVALS = 16, 4
@@ -661,8 +660,8 @@ def _verdict(evidence: Evidence, chance: float, check: Check, gained: float) -> 
         return "changes no run enough to be checked there", False
     if not check.helps:
         return f"helps only {check.helped} of {voters} runs that were not fitted", False
-    if evidence.gain < LEAST_SHARE * gained:
-        return "real perhaps, but under 1 % of what was found", False
+    if evidence.gain < SHAPE_SHARE * gained:
+        return "real perhaps, but under 0.1 % of what was found", False
     return "explains more than any other effect", True
 
 
