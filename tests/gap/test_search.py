@@ -5,6 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from axis_bench import Bench, make_machine, make_runs, silent
+from omnislip.gap import search as search_module
+from omnislip.gap.inference import fit
 from omnislip.gap.machine import Machine
 from omnislip.gap.search import search, stability_of
 from omnislip.model_file import Effect, read_model, write_model
@@ -151,6 +153,25 @@ def test_the_amended_model_has_no_gap(machine, outcomes, name, tmp_path):
 
 
 def test_two_effects_are_both_named(machine):
+    outcome = find(machine, Bench(coulomb_n=2.0, dead_zone_v=0.1))
+    assert sorted(names(outcome)) == ["coulomb_friction", "dead_zone"]
+
+
+def test_what_gave_way_to_another_is_looked_for_again(machine, monkeypatch):
+    """Where both are there: one explained the other's part as long as that was missing."""
+    swap, calls = search_module._swap, []
+
+    def other_first(data, fitted, neighbours, progress):
+        calls.append(fitted)
+        if len(calls) > 1:
+            return swap(data, fitted, neighbours, progress)
+        [taken] = fitted.hypothesis.effects
+        [other] = {"coulomb_friction", "dead_zone"} - {taken.effect}
+        candidate = next(c for c in data.machine.candidates() if c.effect == other)
+        sizes = [0.1 * candidate.parameters[0].scale]
+        return fit(data, fitted.hypothesis.without(0).with_effect(candidate, sizes))
+
+    monkeypatch.setattr(search_module, "_swap", other_first)
     outcome = find(machine, Bench(coulomb_n=2.0, dead_zone_v=0.1))
     assert sorted(names(outcome)) == ["coulomb_friction", "dead_zone"]
 

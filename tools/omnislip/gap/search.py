@@ -189,8 +189,8 @@ def search(
         current = _drop_needless(data, current, tried)
         chosen = current.hypothesis.effects
         current = _swap(data, current, neighbours, progress)
-        left = {effect.name for effect in current.hypothesis.effects}
-        candidates += [effect for effect in chosen if effect.name not in left]
+        taken = {effect.name for effect in current.hypothesis.effects}
+        candidates = [c for c in (*candidates, *chosen) if c.name not in taken]
         if len(current.hypothesis.effects) == MOST_EFFECTS:
             break
     progress("looking for what no effect explains")
