@@ -6,6 +6,7 @@ effects are found is measured by `omnislip gap benchmark`, not here.
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -15,6 +16,7 @@ from omnislip.gap import find
 from omnislip.gap.find import find_gap, split_runs, to_json, weak_names, write_results
 from omnislip.gap.inference import Evidence
 from omnislip.gap.machine import Machine
+from omnislip.gap.metrics import Closed, Left
 from omnislip.gap.search import Selected
 from omnislip.gap.truth import TruthCase, write_case
 from omnislip.gap.truth_effects import typical_effect
@@ -36,9 +38,43 @@ def robot_case(folder, *effects, drop=(), **case):
     return folder / "robot.toml", logs
 
 
-def selected(name, gain):
+def selected(name, gain, inflation=1.0, variation=0.0):
     candidate = next(c for c in ROBOT.candidates() if c.effect == name)
-    return Selected(candidate, np.ones(1), Evidence(gain, 1.0, 0.0, np.eye(1)), (), 1.0)
+    evidence = Evidence(gain, inflation, 0.0, np.eye(1), variation)
+    return Selected(candidate, np.ones(1), evidence, (), 1.0)
+
+
+def verdict_of(effects, leftover_gain=0.0):
+    """Verdict where replays are as near as they can be and nothing was refused."""
+    left = [SimpleNamespace(gain=leftover_gain)] if leftover_gain else []
+    outcome = SimpleNamespace(selected=effects, leftover=left, trials=())
+    table = SimpleNamespace(left=Left(0.0, 1.0), closed=Closed(1.0, 0.9, 1.1))
+    return find._verdict(outcome, table, False, [])
+
+
+@pytest.mark.parametrize(
+    ("name", "share", "verdict"),
+    [
+        ("coulomb_friction", 0.005, "effect_found"),
+        ("coulomb_friction", 0.02, "unknown_effect"),
+        ("contact_shape", 0.0005, "effect_found"),
+        ("contact_shape", 0.002, "unknown_effect"),
+    ],
+)
+def test_names_that_leave_a_part_of_the_gap_are_not_given(name, share, verdict):
+    assert verdict_of([selected(name, 1e5)], 1e5 * share) == verdict
+
+
+@pytest.mark.parametrize(
+    ("inflation", "variation", "verdict"),
+    [
+        (20.0, 0.2, "effect_found"),
+        (2.0, 0.6, "effect_found"),  # which chance gives
+        (20.0, 0.6, "unknown_effect"),
+    ],
+)
+def test_a_size_that_is_not_the_same_throughout_is_no_name(inflation, variation, verdict):
+    assert verdict_of([selected("weak_motor", 2e3, inflation, variation)]) == verdict
 
 
 def test_a_name_that_a_shape_a_little_wrong_would_leave_carries_a_caution():

@@ -46,7 +46,7 @@ from omnislip.gap.inference import (
     fit_more,
     free_of_fitted,
 )
-from omnislip.gap.machine import Candidate, Machine
+from omnislip.gap.machine import CURVE, Candidate, Machine
 from omnislip.gap.metrics import WINDOW_S, gap_table, replay_all
 from omnislip.gap.noise import STEP_S, Noise, tune_noise
 from omnislip.gap.peers import FREE
@@ -299,7 +299,7 @@ def _linear(data: Data, candidate: Candidate) -> bool:
 
 def _named(effects: Iterable[Candidate]) -> tuple[Pair, ...]:
     """Names in the order of `gap find`: a friction curve comes last."""
-    ordered = sorted(effects, key=lambda effect: effect.effect == "contact_shape")
+    ordered = sorted(effects, key=lambda effect: effect.effect == CURVE)
     return tuple((effect.effect, effect.wheel) for effect in ordered)
 
 

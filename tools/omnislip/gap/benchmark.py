@@ -36,7 +36,7 @@ from omnislip.files import replace_file
 from omnislip.gap.baselines import METHODS, ask_baselines, check_installed, replay_errors
 from omnislip.gap.find import Findings, find_gap, to_json
 from omnislip.gap.inference import Data, Fit, Hypothesis, fit, weigh
-from omnislip.gap.machine import Candidate, Machine
+from omnislip.gap.machine import CURVE, Candidate, Machine
 from omnislip.gap.metrics import gap_table, replay_all
 from omnislip.gap.noise import tune_noise
 from omnislip.gap.recordings import Run
@@ -46,7 +46,6 @@ from omnislip.gap.truth_effects import EFFECTS, UNKNOWN_EFFECTS
 Array = npt.NDArray[np.float64]
 Pair = tuple[str, int | None]
 
-CURVE_EFFECT = "contact_shape"
 SEEDS = {"development": 1_000, "sealed": 5_000_000}
 RESULTS, ERROR = "results.parquet", "error.txt"
 FAILED = "failed"
@@ -413,5 +412,5 @@ def _true_structure(
         low, high = ([getattr(p, k) for p in candidate.parameters] for k in ("low", "high"))
         structure.append((candidate, list(np.clip(sizes, low, high))))
     if truth["friction_curve"] != "atan":
-        structure.append((known[CURVE_EFFECT, None], [0.7]))
+        structure.append((known[CURVE, None], [0.7]))
     return structure

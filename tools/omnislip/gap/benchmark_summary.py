@@ -21,7 +21,8 @@ from rich.table import Table
 
 from omnislip.files import replace_file, write_text
 from omnislip.gap.baselines import METHODS
-from omnislip.gap.benchmark import CURVE_EFFECT, FAILED, SIZES, VISIBLE
+from omnislip.gap.benchmark import FAILED, SIZES, VISIBLE
+from omnislip.gap.machine import CURVE
 from omnislip.gap.truth_effects import UNKNOWN_EFFECTS
 
 Row = dict[str, Any]
@@ -254,7 +255,7 @@ def draw_confusion(rows: Sequence[Row], path: Path) -> None:
 
 def _hidden_and_given(row: Row) -> tuple[str, str]:
     hidden = _bare(row["hidden"][0]) if row["hidden"] else NOTHING
-    given = [n for n in map(_bare, row["named"]) if n != CURVE_EFFECT or hidden == n]
+    given = [n for n in map(_bare, row["named"]) if n != CURVE or hidden == n]
     silent = {"unknown_effect": UNKNOWN, FAILED: FAILED}.get(row["verdict"], NOTHING)
     return hidden, given[0] if given else silent
 

@@ -66,6 +66,8 @@ PERIODIC_UNIT = "rad"
 NEEDS = {"pendulum_zero_error": "axis.pendulum_mass_kg"}
 """Effects of what a machine may not have, and the key that says it has it."""
 PHASE = "phase_rad"
+CURVE = "contact_shape"
+"""The effect that is another friction curve."""
 POSE_X, LEAST_POSES = 5, 50
 PLACES = 25
 # A size that is infinite when absent (stiffness, limit) is sought up to so many typical ones: a

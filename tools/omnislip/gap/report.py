@@ -405,8 +405,12 @@ def _thresholds() -> list[tuple[str, str]]:
         ),
         (
             f"{100 * find.UNKNOWN_SHARE:g} %",
-            "of what the effects have gained: a nameless term that gains more makes the verdict "
-            "unknown",
+            "of what the effects have gained (a tenth of that for the friction curve): a nameless "
+            "term that gains more makes the verdict unknown",
+        ),
+        (
+            f"{100 * find.VARIES:.0f} %",
+            "change of an effect's size from half second to half second that makes it unknown",
         ),
         (f"{search.MOST_EFFECTS}", "most effects that are added"),
         (f"{search.REFITS}", "candidates of each step that are fitted fully"),

@@ -39,7 +39,7 @@ from omnislip.gap.inference import (
     weigh,
 )
 from omnislip.gap.leftover import Leftover, find_leftover
-from omnislip.gap.machine import PHASE, Candidate, Machine
+from omnislip.gap.machine import CURVE, PHASE, Candidate, Machine
 from omnislip.gap.metrics import improvement, replay_all
 from omnislip.gap.noise import Noise, tune_noise
 from omnislip.gap.recordings import Run
@@ -217,7 +217,7 @@ def first_model(machine: Machine, runs: Sequence[Run]) -> tuple[Noise, Hypothesi
     The believed keys within their tolerance and a free friction curve: what is off in most robots.
     """
     start = believed_hypothesis(machine)
-    curve = [c for c in machine.candidates() if c.effect == "contact_shape"]
+    curve = [c for c in machine.candidates() if c.effect == CURVE]
     for candidate in curve:
         start = start.with_effect(candidate, [0.1])
     data, fitted = settle(machine, runs, start)
@@ -807,9 +807,7 @@ def _compare_rivals(
                 values[i] = _half_turn(values[i])
         stability = stability_of(data, final, [without, *losers])
         selected.append(Selected(effect, values, evidence, tuple(equals), stability))
-    return tuple(
-        sorted(selected, key=lambda s: (s.candidate.effect == "contact_shape", -s.evidence.gain))
-    )
+    return tuple(sorted(selected, key=lambda s: (s.candidate.effect == CURVE, -s.evidence.gain)))
 
 
 def stability_of(data: Data, final: Fit, others: Sequence[Fit]) -> float:
