@@ -74,7 +74,10 @@ def test_names_that_leave_a_part_of_the_gap_are_not_given(name, share, verdict):
     ],
 )
 def test_a_size_that_is_not_the_same_throughout_is_no_name(inflation, variation, verdict):
-    assert verdict_of([selected("weak_motor", 2e3, inflation, variation)]) == verdict
+    varying = selected("weak_motor", 2e3, inflation, variation)
+    assert verdict_of([varying]) == verdict
+    assert verdict_of([varying, selected("contact_shape", 1e5)]) == verdict
+    assert verdict_of([varying, selected("coulomb_friction", 1e5)]) == "effect_found"
 
 
 def test_a_name_that_a_shape_a_little_wrong_would_leave_carries_a_caution():

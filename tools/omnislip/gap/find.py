@@ -307,14 +307,25 @@ def _verdict(outcome: Outcome, table: GapTable, mended: bool, shares: Sequence[P
     better_term = bool(outcome.leftover) and outcome.leftover[0].gain > covered
     if better_term or _refused(outcome) > max(HOPEFUL_GAIN, named) or _much_is_left(table):
         return "unknown_effect"
-    if any(_no_chance(one) for one in shares) or any(map(_varies, outcome.selected)):
+    if any(_no_chance(one) for one in shares) or _varying(outcome.selected):
         return "unknown_effect"
     return "effect_found" if outcome.selected or mended else "no_gap"
 
 
-def _varies(one: Selected) -> bool:
-    """Whether the size of an effect is not the same throughout the logs."""
-    return one.evidence.variation > VARIES and one.evidence.inflation > VARIES_SURELY
+def _varying(selected: Sequence[Selected]) -> list[Selected]:
+    """Return the effects whose size is not the same throughout the logs, where that leaves much.
+
+    A size that varies by v leaves v^2 of its gain. What a weak effect leaves so is nothing beside
+    stronger ones; the friction curve, strong as it may be, covers nothing.
+    """
+    named = sum(one.evidence.gain for one in selected if one.candidate.effect != CURVE)
+    return [
+        one
+        for one in selected
+        if one.evidence.inflation > VARIES_SURELY
+        and one.evidence.variation**2 * one.evidence.gain
+        > VARIES**2 * max(named, one.evidence.gain)
+    ]
 
 
 def _no_chance(found: Predictable) -> bool:
@@ -517,7 +528,7 @@ def _sentence(
         text += "".join(
             f"; the size of {one.candidate.name}, which is nearest, changes by"
             f" {100 * one.evidence.variation:.0f} % from half second to half second"
-            for one in filter(_varies, outcome.selected)
+            for one in _varying(outcome.selected)
         )
         text += "."
         return text + (f" Nearest known: {'; '.join(parts)}." if parts else "")
