@@ -22,6 +22,7 @@ White, Econometrica 1982; Liang and Zeger 1986; few clusters: Bell and McCaffrey
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from math import comb
 
 import numpy as np
 import numpy.typing as npt
@@ -46,8 +47,8 @@ DIVERGED = 1e3
 """Whitened residual of a model with which the frozen predictor is not stable."""
 CONVERGED = 0.05
 LEAST_INFORMATION = 1e-6
-SINGLE_BLOCK = 2.0
-"""Blocks that make an inflation, below which one of them is most of it."""
+FEW_BLOCKS = 3
+"""Blocks that make an inflation, up to which they may be left out."""
 WORTH_A_ROUND = 2.0
 """Gain of Q below which a quick fit ends."""
 MOST_ERROR = 8.0
@@ -538,9 +539,9 @@ def weigh(data: Data, without: Fit, with_effect: Fit, index: int) -> Evidence:
     """Judge effect number `index` of a fit against the fitted model `without` it.
 
     The edges of a patch are left out of the inflation: the few rows where they are crossed say
-    where the patch is, not whether. Where a single block of all makes the inflation (wheels that
-    spin out once, a little too late in the model), what the other blocks say without it may
-    suffice; they are then one of so many choices of blocks.
+    where the patch is, not whether. Where few blocks of all make the inflation (wheels that spin
+    out once, a little too late in the model), what the other blocks say without them may suffice;
+    they are then one of so many choices of blocks.
     """
     hypothesis = with_effect.hypothesis
     effect = hypothesis.effects[index]
@@ -554,13 +555,14 @@ def weigh(data: Data, without: Fit, with_effect: Fit, index: int) -> Evidence:
     scatter = scatter_of(data, tested[0], with_effect.residual, tested[1])
     gain = without.objective - with_effect.objective
     p_value = _chance(gain, scatter, len(own))
-    if scatter.blocks < SINGLE_BLOCK:
-        others = data.blocks != scatter.worst
-        squares = without.residual**2 - with_effect.residual**2
+    count = int(data.blocks[-1]) + 1
+    squares = without.residual**2 - with_effect.residual**2
+    for left_out in range(1, FEW_BLOCKS + 1) if scatter.blocks < FEW_BLOCKS + 1 else ():
+        others = ~np.isin(data.blocks, scatter.worst[:left_out])
         kept = tested[0] * others[:, None]
         rest = scatter_of(data, kept, with_effect.residual, kept.T @ kept)
         chance = _chance(gain - float(np.sum(squares[~others])), rest, len(own))
-        p_value = min(p_value, chance * (int(data.blocks[-1]) + 1))
+        p_value = min(p_value, chance * comb(count, left_out))
     covariance = np.linalg.pinv(information) * np.outer(scale, scale) * scatter.inflation
     variation = _variation(data, *tested, gain, scatter.inflation)
     return Evidence(gain, scatter.inflation, p_value, covariance, variation)
@@ -623,14 +625,14 @@ def inflation_of(data: Data, score: Array, residual: Array, information: Array) 
 
 @dataclass(frozen=True)
 class Scatter:
-    """How the block sums of a score vary: c, from how many blocks it is known, the worst of them.
+    """How the block sums of a score vary: c, from how many blocks it is known, worst block first.
 
     That number is (sum q)^2 / sum q^2 of the blocks' squares q: one if a single block makes c.
     """
 
     inflation: float
     blocks: float
-    worst: int
+    worst: npt.NDArray[np.int64]
 
 
 def scatter_of(data: Data, score: Array, residual: Array, information: Array) -> Scatter:
@@ -643,9 +645,9 @@ def scatter_of(data: Data, score: Array, residual: Array, information: Array) ->
     sizes, axes = np.linalg.eigh(information)
     seen = sizes > 1e-9 * max(sizes[-1], 1e-300)
     if not seen.any():
-        return Scatter(1.0, float(len(sums)), 0)
+        return Scatter(1.0, float(len(sums)), np.arange(len(sums)))
     root = axes[:, seen] / np.sqrt(sizes[seen])
     squares = np.sum((sums @ root) ** 2, axis=1)
     known_from = np.sum(squares) ** 2 / max(float(np.sum(squares**2)), 1e-300)
     inflation = float(np.max(np.linalg.eigvalsh(root.T @ spread @ root)))
-    return Scatter(max(1.0, inflation), max(1.0, float(known_from)), int(np.argmax(squares)))
+    return Scatter(max(1.0, inflation), max(1.0, float(known_from)), np.argsort(-squares))

@@ -66,7 +66,10 @@ CONVERGED = 0.05
 SHORTEST_LAG_ROWS = 0.1
 HOPEFUL_GAIN = 200.0
 """Gain beyond chance of a refused effect that no chance gives: something is there, though not alone
-under this name. From there it is worth looking one step ahead."""
+under this name."""
+AHEAD_GAIN = 50.0
+"""The same from which it is worth looking one step ahead, where a second effect that is missing
+blurs what this one explains: twice what chance reaches over everything tried."""
 BEAM, BEAM_REFITS = 3, 6
 RESAMPLES, LEAST_RUNS_TO_RESAMPLE = 1000, 4
 MOST_TUNINGS, SETTLED = 6, 1.0
@@ -531,7 +534,7 @@ class _Ahead:
         hopeful = [
             (trial, fitted)
             for trial, fitted in refused
-            if trial.evidence.gain / trial.evidence.inflation > HOPEFUL_GAIN
+            if trial.evidence.gain / trial.evidence.inflation > AHEAD_GAIN
         ]
         hopeful = sorted(hopeful, key=lambda pair: pair[1].objective)[:BEAM]
         passed = [pair for trial, one in hopeful for pair in self._pairs(trial.candidate, one)]
@@ -708,6 +711,9 @@ def _extend(machine: Machine, data: Data, fitted: Fit) -> Fit:
 def _drop_needless(data: Data, fitted: Fit, tried: int) -> Fit:
     """Drop effects, weakest first, that could be chance beside the others or what those leave.
 
+    Not those whose inflation alone, of a few blocks, makes the chance: another effect that is
+    missing does that.
+
     No plant has an effect's shape exactly: what is off by 3 % in amplitude leaves `SHAPE_SHARE` of
     its gain, for which other names are at hand.
     """
@@ -721,7 +727,8 @@ def _drop_needless(data: Data, fitted: Fit, tried: int) -> Fit:
         needless = [
             index
             for index, one in enumerate(judged)
-            if one.p_value * tried >= ALPHA or one.gain < SHAPE_SHARE * most
+            if (one.p_value * tried >= ALPHA and one.gain / one.inflation < AHEAD_GAIN)
+            or one.gain < SHAPE_SHARE * most
         ]
         if not needless:
             break
