@@ -157,8 +157,8 @@ bool jumps(const double *command) {
 
 /* The commands of a log up to `row`, from each time to the next, the first also before: what the
  * drivers of a plant see on average from begin to end, at once if they are the same. A command is
- * held, or rises evenly by `rise` around its mean (null: all are held). */
-template <class Plant>
+ * held or, if it may rise, rises evenly by `rise` around its mean (null: all are held). */
+template <class Plant, bool kMayRise = false>
 class LoggedCommands {
   public:
     LoggedCommands(const Plant &plant, const double *time_s, const double *command, long row,
@@ -213,7 +213,7 @@ class LoggedCommands {
     /* Mean command from begin to end, both within the row. */
     double in_row(int motor, long row, double begin_s, double end_s) const {
         const long at = row * Plant::kMotors + motor;
-        if (rise_ == nullptr || rise_[at] == 0.0)
+        if (!kMayRise || rise_ == nullptr || rise_[at] == 0.0)
             return command_[at];
         const double length_s = time_s_[row + 1] - time_s_[row];
         const double middle_s = 0.5 * (begin_s + end_s) - time_s_[row];

@@ -96,7 +96,9 @@ class KernelOf final : public Kernel {
         }
     }
 
-    static LoggedCommands<Plant> logged(const Plant &plant, const Recording &recording, long row) {
+    using Commands = LoggedCommands<Plant, true>;
+
+    static Commands logged(const Plant &plant, const Recording &recording, long row) {
         const double *rise = recording.rise.empty() ? nullptr : recording.rise.data();
         return {plant, recording.time_s.data(), recording.command.data(), row, rise};
     }
@@ -107,7 +109,7 @@ class KernelOf final : public Kernel {
         const double time_s = recording.time_s[k];
         plant.output(x, S(time_s), y);
         if constexpr (kElectric > 0) {
-            const LoggedCommands<Plant> commands = logged(plant, recording, k);
+            const Commands commands = logged(plant, recording, k);
             S command[kMotors], dx[kAll];
             Internals in;
             commands(time_s, time_s, command);
@@ -167,7 +169,7 @@ class KernelOf final : public Kernel {
                                             recording.rows);
             advance(loaded.plant, x, commands, time_s[k], duration_s, kArc_s, 0.0, in);
         } else {
-            const LoggedCommands<Plant> commands = logged(loaded.plant, recording, k);
+            const Commands commands = logged(loaded.plant, recording, k);
             advance(loaded.plant, x, commands, time_s[k], duration_s, commands.step_s(step_s),
                     loaded.rate_1_s, in);
         }
