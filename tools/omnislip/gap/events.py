@@ -39,9 +39,9 @@ LEAST_RATIO = 60.0
 """g beyond which chance is out of the question (p = 6e-13; rows of an hour: 7e5)."""
 OVER_LEVEL = 12.0
 """Factor by which g must exceed the 80th percentile of its run (4.6 where nothing is wrong)."""
-EXPLAINED, HARD_RATIO = 0.35, 1000.0
-"""Share of the squared innovations of the horizon that the jump must take away; and g from which
-the replay alone decides: after a hard push wheels slide, and the linear response is far off."""
+EXPLAINED = 0.3
+"""Share of the squared innovations of the horizon that the jump must take away. Not more: after a
+hard push wheels slide, and the linear response is far off (0.35 for a push of 0.32 m/s)."""
 REPLAYED = 0.8
 """The same share of the plant's own replay: pushes of 0.06 to 0.5 m/s explained 0.96 and more of
 it, what wheels that break loose in violent driving feign 0.5 to 0.77."""
@@ -54,7 +54,7 @@ COMMAND_JUMP = 0.1
 """Change of a duty from row to row after which wheels may break loose."""
 MOST_MISFIT = 9.0
 """A jump that leaves errors three times their standard deviation is not what happened."""
-APART_S = 0.3
+APART_S, REPEATED_S = 0.3, 0.02
 REPLAY_STEP_S = 1e-3
 TIMES, SPAN_S, SPAN_ROWS, COARSE = 12, 0.024, 2, 4
 """How many times of a push are tried, over that span or so many rows up to the likeliest row."""
@@ -107,7 +107,7 @@ def find_impacts(
         ratio, jump, explained = pushes.ratios()
         level = float(np.percentile(ratio, 80))
         for peak in _peaks(run.t_s, ratio, max(LEAST_RATIO, OVER_LEVEL * level)):
-            if explained[peak] >= EXPLAINED or ratio[peak] >= HARD_RATIO:
+            if explained[peak] >= EXPLAINED:
                 row = pushes.likeliest_row(peak)
                 filtered = track.state.reshape(len(run.t_s), -1)
                 impact = _size_up(machine, run, row, values, noise, filtered, jump[row])
@@ -116,7 +116,25 @@ def find_impacts(
                 confirmed = impact.gain >= LEAST_RATIO and impact.explained >= REPLAYED
                 if plausible and confirmed and impact.misfit <= MOST_MISFIT:
                     impacts.append(impact)
-    return impacts
+    return [one for one in impacts if not any(_repeats(runs, one, other) for other in impacts)]
+
+
+def _repeats(runs: Sequence[Run], one: Impact, other: Impact) -> bool:
+    """Whether another run has a push at the same time of the same commands.
+
+    Nobody pushes so; it is what the robot does there by itself.
+    """
+    if one.run == other.run or abs(one.time_s - other.time_s) > REPEATED_S:
+        return False
+    driven = [_commands_around(runs, push) for push in (one, other)]
+    return bool(np.abs(driven[0] - driven[1]).max() < COMMAND_JUMP)
+
+
+def _commands_around(runs: Sequence[Run], push: Impact) -> Array:
+    """Commands (times, 4) in the horizon before a push."""
+    run = next(r for r in runs if r.name == push.run and r.t_s[0] <= push.time_s <= r.t_s[-1])
+    time_s = push.time_s - np.linspace(0.0, HORIZON_S, TIMES)
+    return np.stack([np.interp(time_s, run.t_s, column) for column in run.command.T], axis=1)
 
 
 def _feigned_m_s(machine: Machine, run: Run, row: int) -> float:

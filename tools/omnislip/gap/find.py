@@ -238,7 +238,7 @@ def find_gap(
             manoeuvres |= {one.candidate.name: best} if best else {}
     return Findings(
         verdict,
-        _sentence(verdict, machine, outcome, table, wiring, impacts, unknown, shares)
+        _sentence(verdict, machine, outcome, table, wiring, impacts, unknown, shares, shapes)
         + _advice(manoeuvres)
         + "".join(f" {caution}" for caution in cautions),
         machine,
@@ -505,6 +505,7 @@ def _sentence(
     impacts: Sequence[Impact],
     unknown: Unknown | None,
     shares: Sequence[Predictable],
+    shapes: Sequence[Leftover],
 ) -> str:
     """Return the verdict as one sentence with numbers."""
     if verdict == "no_gap":
@@ -530,6 +531,9 @@ def _sentence(
             f" {100 * one.evidence.variation:.0f} % from half second to half second"
             for one in _varying(outcome.selected)
         )
+        if not (unknown or outcome.leftover) and shapes:
+            like = shapes[0]
+            text += f"; most of it looks like {like.equation}, depending on {like.dependence}"
         text += "."
         return text + (f" Nearest known: {'; '.join(parts)}." if parts else "")
     text = "Missing: " + "; ".join(parts) + "."

@@ -9,10 +9,11 @@ by which the innovations may be off, its size free within a normal prior:
                but less way; where the contact settles within a row (wheels that grip), what counts
                is where the command ends; and a current that is measured at the row's begin flows
                under less than the mean. The plant itself says what: innovations with commands that
-               rise, less those with commands that are held. One column for a rise as from the row
-               before and, in open loop, one as to the row after (in a closed loop that one holds
-               the answer to this row), deviation 1: a command that is held from row to row has
-               none of it, one that moves smoothly half of each.
+               rise, less those with commands that are held. A column of deviation 1: a command that
+               is held from row to row has none of it. The rate is that of a parabola through the
+               means of three rows, and a second column leaves a tenth of its change open (all of it
+               would pass for the difference of a delay and a lag); in a closed loop, where the row
+               after answers this one, the rate is that from the row before.
     feedback   the controller takes speed away that a disturbance gave within the row. What is new
                in a row's command (less its prediction from the rows before, outliers clipped) comes
                with a disturbance that it answers: at most one that cancels it, so the prior's
@@ -54,6 +55,8 @@ PAST = 6
 CLIP = 3.0
 ANSWERED_ROWS = 3
 RISING_STEP_S = 1e-3
+RATE_DEVIATION = 0.1
+"""Of the rate of a row's rise, as a share of how far the rate from the row before is from it."""
 
 
 def hidden_columns(
@@ -67,7 +70,7 @@ def hidden_columns(
     if machine.kind != "robot":
         return np.zeros((sum(len(run.t_s) for run in runs) * machine.engine.outputs, 0))
     news, follows = _news(machine, runs, tracks)
-    columns = _rises(machine, runs, tracks, values, only_back=follows)
+    columns = _rises(machine, runs, tracks, values, follows)
     if follows:
         answers = [
             _answers(machine, run, track, new)
@@ -82,18 +85,15 @@ def _rises(
     runs: Sequence[Run],
     tracks: Sequence[_core.Track],
     values: Array,
-    only_back: bool,
+    follows: bool,
 ) -> Array:
     """Return what commands that rise within rows do to whitened innovations, by the plant."""
-    recordings = [run.recording for run in runs]
-    back = [np.diff(run.command, axis=0, prepend=run.command[:1]) for run in runs]
-    fore = [np.diff(run.command, axis=0, append=run.command[-1:]) for run in runs]
-    for rise in (*back, *fore):
-        rise[-1] = 0.0
-    driven = [recordings] + [
-        [held.rising(rise) for held, rise in zip(recordings, rises, strict=True)]
-        for rises in ((back,) if only_back else (back, fore))
-    ]
+    rises = [rise_of(run, from_before=follows) for run in runs]
+    driven = [[run.recording for run in runs], _rising(runs, rises)]
+    if not follows:
+        before = [rise_of(run, from_before=True) for run in runs]
+        unsure = [RATE_DEVIATION * (b - r) for b, r in zip(before, rises, strict=True)]
+        driven.append(_rising(runs, unsure))
     found = machine.engine.innovations(
         [one for group in driven for one in group],
         list(tracks) * len(driven),
@@ -105,6 +105,25 @@ def _rises(
         for first in range(0, len(found), len(runs))
     )
     return np.stack([one - held for one in rising], axis=1)
+
+
+def _rising(runs: Sequence[Run], rises: Sequence[Array]) -> list[_core.Recording]:
+    return [run.recording.rising(rise) for run, rise in zip(runs, rises, strict=True)]
+
+
+def rise_of(run: Run, from_before: bool) -> Array:
+    """Return by how much commands rise within each row (rows, 4), if they move smoothly.
+
+    At the rate from the row before, or that of a parabola through the means of three rows.
+    """
+    length_s = np.diff(run.t_s)
+    middle_s = run.t_s[:-1] + 0.5 * length_s
+    rate = np.zeros((len(length_s), run.command.shape[1]))
+    if from_before:
+        rate[1:] = np.diff(run.command[:-1], axis=0) / np.diff(middle_s)[:, None]
+    else:
+        rate = np.gradient(run.command[:-1], middle_s, axis=0)
+    return np.vstack([rate * length_s[:, None], np.zeros(run.command.shape[1])])
 
 
 def _answers(machine: Machine, run: Run, track: _core.Track, new: Array) -> Array:
