@@ -69,8 +69,8 @@ of this the search gives none."""
 UNKNOWN_SHARE, CURVE_SHARE = 0.01, 1e-3
 """A leftover term that gains more than this share of the named effects makes the verdict unknown:
 the names are right in place perhaps, but wrong in shape. Where names were right something was left
-in one case of the benchmark in a hundred, and 0.002 on a real axis. The friction curve has parameters enough for
-its shape and explains much in most robots: less of its gain covers a rest."""
+in one case of the benchmark in a hundred, and 0.002 on a real axis. The friction curve has
+parameters enough for its shape and explains much in most robots: less of its gain covers a rest."""
 PREDICTED_SHARE = 0.15
 """Share of the filter's disturbances that other runs predict; where nothing is missing it is below
 0.1. More than half of the runs have to be helped: some hardly excite what is missing."""
