@@ -1,8 +1,10 @@
 """Impacts: found at their time, sized with the plant, cut out of the logs."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
-from omnislip.gap.events import as_effect, find_impacts, pieces
+from omnislip.gap.events import Impact, as_effect, find_impacts, pieces, without_repeated
 from omnislip.gap.machine import Machine
 from omnislip.gap.recordings import make_run
 from omnislip.gap.search import first_model
@@ -57,6 +59,30 @@ def test_an_impact_is_written_to_a_model_file_and_read_back(tmp_path):
     model.effects.append(as_effect(impact))
     write_model(model, tmp_path / "amended.toml")
     assert read_model(tmp_path / "amended.toml").effects == [as_effect(impact)]
+
+
+@pytest.mark.parametrize(
+    ("command_of_other", "run_of_other", "time_of_other_s", "kept"),
+    [
+        (0.0, "run_02", 2.51, 0),
+        (0.0, "run_02", 2.6, 2),
+        (0.3, "run_02", 2.51, 2),
+        (0.0, "run_01", 2.51, 2),
+    ],
+    ids=["repeated", "another time", "other commands", "same run"],
+)
+def test_what_another_run_of_the_same_commands_has_too_is_no_push(
+    command_of_other, run_of_other, time_of_other_s, kept
+):
+    t_s = np.arange(0.0, 5.0, 0.01)
+    wave = 0.4 * np.sin(3.0 * t_s)[:, None] * np.ones(4)
+    runs = [
+        SimpleNamespace(name="run_01", t_s=t_s, command=wave),
+        SimpleNamespace(name="run_02", t_s=t_s, command=wave + command_of_other),
+    ]
+    push, none = np.array([-0.5, 2.0, 0.0]), np.zeros(3)
+    impacts = [Impact("run_01", 2.5, push, none), Impact(run_of_other, time_of_other_s, push, none)]
+    assert len(without_repeated(runs, impacts)) == kept
 
 
 def test_a_log_is_cut_at_its_own_pushes_and_short_pieces_are_dropped():

@@ -125,7 +125,7 @@ def driven_finely(machine, run, noise, rise, parts=5):
 
 
 def test_a_log_driven_in_open_loop_hides_only_how_its_commands_rise_within_rows():
-    """The first column is what a finer log would show."""
+    """The first column is what a finer log would show, whose filter follows parts of rows."""
     data = data_of(seed=5, runs=2, run_duration_s=2.0)
     machine, run = data.machine, data.runs[0]
     noise = replace(data.noise, unresolved=0.0)  # a finer log leaves nothing unresolved

@@ -54,7 +54,9 @@ COMMAND_JUMP = 0.1
 """Change of a duty from row to row after which wheels may break loose."""
 MOST_MISFIT = 9.0
 """A jump that leaves errors three times their standard deviation is not what happened."""
-APART_S, REPEATED_S = 0.3, 0.02
+APART_S = 0.3
+REPEATED_S = 0.02
+"""Difference of the times of what repeats in another run."""
 REPLAY_STEP_S = 1e-3
 TIMES, SPAN_S, SPAN_ROWS, COARSE = 12, 0.024, 2, 4
 """How many times of a push are tried, over that span or so many rows up to the likeliest row."""
@@ -116,14 +118,19 @@ def find_impacts(
                 confirmed = impact.gain >= LEAST_RATIO and impact.explained >= REPLAYED
                 if plausible and confirmed and impact.misfit <= MOST_MISFIT:
                     impacts.append(impact)
+    return without_repeated(runs, impacts)
+
+
+def without_repeated(runs: Sequence[Run], impacts: Sequence[Impact]) -> list[Impact]:
+    """Return the pushes that no other run has at the same time of the same commands.
+
+    Nobody pushes so; it is what the robot does there by itself. Where every run of a simulated
+    scenario has the same push, it is refused too.
+    """
     return [one for one in impacts if not any(_repeats(runs, one, other) for other in impacts)]
 
 
 def _repeats(runs: Sequence[Run], one: Impact, other: Impact) -> bool:
-    """Whether another run has a push at the same time of the same commands.
-
-    Nobody pushes so; it is what the robot does there by itself.
-    """
     if one.run == other.run or abs(one.time_s - other.time_s) > REPEATED_S:
         return False
     driven = [_commands_around(runs, push) for push in (one, other)]

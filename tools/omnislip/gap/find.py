@@ -32,7 +32,7 @@ from omnislip.gap.metrics import (
 from omnislip.gap.plan import Separation, separating_manoeuvre
 from omnislip.gap.predictable import Predictable, predictable_shares
 from omnislip.gap.recordings import ODOMETRY_CHANNELS, Run, machine_for, make_run
-from omnislip.gap.search import HOPEFUL_GAIN, Outcome, Selected, first_model, search
+from omnislip.gap.search import Outcome, Selected, first_model, search
 from omnislip.gap.unknown import Unknown, describe_unknown
 from omnislip.gap.where import Map, Place, describe, map_gap
 from omnislip.gap.wiring import find_wiring, mend
@@ -66,6 +66,9 @@ STABLE = 0.9
 WEAK_SHARE = 1e-2
 """Gain relative to that of the strongest effect below which a name carries a caution; below a tenth
 of this the search gives none."""
+HOPEFUL_GAIN = 200.0
+"""Gain beyond chance of a refused effect that no chance gives: something is there, though not alone
+under this name."""
 UNKNOWN_SHARE, CURVE_SHARE = 0.01, 1e-3
 """A leftover term that gains more than this share of the named effects makes the verdict unknown:
 the names are right in place perhaps, but wrong in shape. Where names were right something was left

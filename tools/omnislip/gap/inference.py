@@ -555,14 +555,15 @@ def weigh(data: Data, without: Fit, with_effect: Fit, index: int) -> Evidence:
     scatter = scatter_of(data, tested[0], with_effect.residual, tested[1])
     gain = without.objective - with_effect.objective
     p_value = _chance(gain, scatter, len(own))
-    count = int(data.blocks[-1]) + 1
-    squares = without.residual**2 - with_effect.residual**2
-    for left_out in range(1, FEW_BLOCKS + 1) if scatter.blocks < FEW_BLOCKS + 1 else ():
-        others = ~np.isin(data.blocks, scatter.worst[:left_out])
-        kept = tested[0] * others[:, None]
-        rest = scatter_of(data, kept, with_effect.residual, kept.T @ kept)
-        chance = _chance(gain - float(np.sum(squares[~others])), rest, len(own))
-        p_value = min(p_value, chance * comb(count, left_out))
+    if scatter.blocks < FEW_BLOCKS + 1:
+        count = int(data.blocks[-1]) + 1
+        squares = without.residual**2 - with_effect.residual**2
+        for left_out in range(1, FEW_BLOCKS + 1):
+            others = ~np.isin(data.blocks, scatter.worst[:left_out])
+            kept = tested[0] * others[:, None]
+            rest = scatter_of(data, kept, with_effect.residual, kept.T @ kept)
+            chance = _chance(gain - float(np.sum(squares[~others])), rest, len(own))
+            p_value = min(p_value, chance * comb(count, left_out))
     covariance = np.linalg.pinv(information) * np.outer(scale, scale) * scatter.inflation
     variation = _variation(data, *tested, gain, scatter.inflation)
     return Evidence(gain, scatter.inflation, p_value, covariance, variation)
@@ -571,6 +572,7 @@ def weigh(data: Data, without: Fit, with_effect: Fit, index: int) -> Evidence:
 def _variation(
     data: Data, score: Array, information: Array, gain: float, inflation: float
 ) -> float:
+    """Return the effect's change of size (Evidence) from its score (m, k) by blocks."""
     by_row = np.sum((score @ np.linalg.pinv(information, hermitian=True)) * score, axis=1)
     by_block = np.bincount(data.blocks, by_row)
     blocks = np.sum(by_block) ** 2 / max(float(np.sum(by_block**2)), 1e-300)

@@ -389,9 +389,9 @@ def _shape_scale(parameter: dict) -> float:
 
 # Parameters that refine an effect once it is named, where it alone does not fit.
 EXTENSIONS = {
-    ("contact_shape", "brush"),
-    ("contact_shape", "root"),
-    ("contact_shape", "roller"),
+    (CURVE, "brush"),
+    (CURVE, "root"),
+    (CURVE, "roller"),
     ("shaft_compliance", "load_share"),
 }
 

@@ -118,12 +118,12 @@ def rise_of(run: Run, from_before: bool) -> Array:
     """
     length_s = np.diff(run.t_s)
     middle_s = run.t_s[:-1] + 0.5 * length_s
-    rate = np.zeros((len(length_s), run.command.shape[1]))
+    command, nothing = run.command[:-1], np.zeros(run.command.shape[1])
     if from_before:
-        rate[1:] = np.diff(run.command[:-1], axis=0) / np.diff(middle_s)[:, None]
+        rate = np.vstack([nothing, np.diff(command, axis=0) / np.diff(middle_s)[:, None]])
     else:
-        rate = np.gradient(run.command[:-1], middle_s, axis=0)
-    return np.vstack([rate * length_s[:, None], np.zeros(run.command.shape[1])])
+        rate = np.gradient(command, middle_s, axis=0)
+    return np.vstack([rate * length_s[:, None], nothing])
 
 
 def _answers(machine: Machine, run: Run, track: _core.Track, new: Array) -> Array:

@@ -64,12 +64,9 @@ EQUAL = 1.0
 CONVERGED = 0.05
 """Share of a candidate's gain that refitting without it may find."""
 SHORTEST_LAG_ROWS = 0.1
-HOPEFUL_GAIN = 200.0
-"""Gain beyond chance of a refused effect that no chance gives: something is there, though not alone
-under this name."""
 AHEAD_GAIN = 50.0
-"""The same from which it is worth looking one step ahead, where a second effect that is missing
-blurs what this one explains: twice what chance reaches over everything tried."""
+"""Gain beyond chance, twice what chance reaches over everything tried, from which a refused effect
+is worth looking one step ahead, and none is needless: another one that is missing blurs it."""
 BEAM, BEAM_REFITS = 3, 6
 RESAMPLES, LEAST_RUNS_TO_RESAMPLE = 1000, 4
 MOST_TUNINGS, SETTLED = 6, 1.0
