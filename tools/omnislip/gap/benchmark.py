@@ -393,7 +393,7 @@ def _ask_others(
 def _lambda(data: Data, fitted: Fit, index: int) -> float:
     without = fit(data, fitted.hypothesis.without(index))
     evidence = weigh(data, without, fitted, index)
-    return evidence.gain / evidence.inflation
+    return evidence.beyond_chance
 
 
 def _true_structure(

@@ -32,7 +32,7 @@ from omnislip.gap.metrics import (
 from omnislip.gap.plan import Separation, separating_manoeuvre
 from omnislip.gap.predictable import Predictable, predictable_shares
 from omnislip.gap.recordings import ODOMETRY_CHANNELS, Run, machine_for, make_run
-from omnislip.gap.search import Outcome, Selected, first_model, search
+from omnislip.gap.search import SURE_GAIN, Outcome, Selected, first_model, search
 from omnislip.gap.unknown import Unknown, describe_unknown
 from omnislip.gap.where import Map, Place, describe, map_gap
 from omnislip.gap.wiring import find_wiring, mend
@@ -66,9 +66,6 @@ STABLE = 0.9
 WEAK_SHARE = 1e-2
 """Gain relative to that of the strongest effect below which a name carries a caution; below a tenth
 of this the search gives none."""
-HOPEFUL_GAIN = 200.0
-"""Gain beyond chance of a refused effect that no chance gives: something is there, though not alone
-under this name."""
 UNKNOWN_SHARE, CURVE_SHARE = 0.01, 1e-3
 """A leftover term that gains more than this share of the named effects makes the verdict unknown:
 the names are right in place perhaps, but wrong in shape. Where names were right something was left
@@ -199,7 +196,7 @@ def find_gap(
         reason = logged_set_points(machine, logs, outcome.final.hypothesis.flat(machine.believed))
         if reason:
             return _insufficient(machine, logs, reason, inputs)
-    hopeful = outcome.selected or outcome.leftover or _refused(outcome) > HOPEFUL_GAIN
+    hopeful = outcome.selected or outcome.leftover or _refused(outcome) > SURE_GAIN
     if not (hopeful or wiring or impacts):
         reason = too_poor(machine, outcome.limits)
         if reason:
@@ -308,7 +305,7 @@ def _verdict(outcome: Outcome, table: GapTable, mended: bool, shares: Sequence[P
         for s in outcome.selected
     )
     better_term = bool(outcome.leftover) and outcome.leftover[0].gain > covered
-    if better_term or _refused(outcome) > max(HOPEFUL_GAIN, named) or _much_is_left(table):
+    if better_term or _refused(outcome) > max(SURE_GAIN, named) or _much_is_left(table):
         return "unknown_effect"
     if any(_no_chance(one) for one in shares) or _varying(outcome.selected):
         return "unknown_effect"
@@ -340,7 +337,7 @@ def _refused(outcome: Outcome) -> float:
     """Largest gain, beyond chance, of what was refused last because it spoilt the other runs."""
     last = max((trial.step for trial in outcome.trials), default=0)
     gains = [
-        trial.evidence.gain / trial.evidence.inflation
+        trial.evidence.beyond_chance
         for trial in outcome.trials
         if trial.step == last and not trial.accepted and trial.validation_gain <= 0
     ]

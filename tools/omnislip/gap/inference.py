@@ -534,6 +534,11 @@ class Evidence:
     covariance: Array
     variation: float = 0.0
 
+    @property
+    def beyond_chance(self) -> float:
+        """T / c."""
+        return self.gain / self.inflation
+
 
 def weigh(data: Data, without: Fit, with_effect: Fit, index: int) -> Evidence:
     """Judge effect number `index` of a fit against the fitted model `without` it.

@@ -167,7 +167,7 @@ def _runners_up(findings: Findings) -> list[str]:
     kept = {effect.name for effect in findings.outcome.final.hypothesis.effects}
     for number in sorted({trial.step for trial in trials}):
         lost = [t for t in trials if t.step == number and t.candidate.name not in kept]
-        lost.sort(key=lambda t: -t.evidence.gain / t.evidence.inflation)
+        lost.sort(key=lambda t: -t.evidence.beyond_chance)
         strongest: dict[str, Trial] = {}
         for trial in lost:  # looking ahead tries some twice
             strongest.setdefault(trial.candidate.name, trial)

@@ -9,7 +9,7 @@ one-second windows when there are fewer than three runs).
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -146,16 +146,22 @@ def left_over(replays: Sequence[Replays], seen: Sequence[int], floor: Array) -> 
     return Left(float(np.mean(excess)), error)
 
 
-def improvement(replays: Sequence[Replays]) -> float:
+def improvement(replays: Sequence[Replays]) -> tuple[float, float]:
     """Return by how many noise floors the second model's square error is below the first's.
 
-    Mean over channels and windows of one second.
+    Also the mean square, in floors, of what is between both models. Means over channels and windows
+    of one second.
     """
-    windows = [
-        _window_moments(r) / np.maximum(_mean_floor(r), np.finfo(float).tiny) for r in replays
-    ]
-    fall = np.concatenate([w[:, 0] - w[:, 1] for w in windows])
-    return float(np.nanmean(fall)) if np.any(~np.isnan(fall)) else 0.0
+    falls, between = [], []
+    for one in replays:
+        apart = replace(one, errors=one.errors[:1] - one.errors[1:2])
+        floor = np.maximum(_mean_floor(one), np.finfo(float).tiny)
+        square = _window_moments(one) / floor
+        falls.append(square[:, 0] - square[:, 1])
+        between.append(_window_moments(apart)[:, 0] / floor)
+    seen = any(np.any(~np.isnan(fall)) for fall in falls)
+    fall, apart = (float(np.nanmean(np.concatenate(a))) if seen else 0.0 for a in (falls, between))
+    return fall, apart
 
 
 def channel_rmse(replays: Sequence[Replays]) -> dict[str, Array]:

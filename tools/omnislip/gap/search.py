@@ -64,6 +64,11 @@ EQUAL = 1.0
 CONVERGED = 0.05
 """Share of a candidate's gain that refitting without it may find."""
 SHORTEST_LAG_ROWS = 0.1
+SURE_GAIN = 200.0
+"""Gain beyond chance that no chance gives: something is there, though perhaps not alone or not
+under this name."""
+REPLAYS_ALIKE = 0.1
+"""Mean square in noise floors of what is between two replays below which they judge no effect."""
 AHEAD_GAIN = 50.0
 """Gain beyond chance, twice what chance reaches over everything tried, from which a refused effect
 is worth looking one step ahead, and none is needless: another one that is missing blurs it."""
@@ -479,7 +484,8 @@ def _try(
         reason, passed = _verdict(evidence, chance, check, gained)
         if passed and not _differs(candidate, values - absent, evidence):
             reason, passed = "its size cannot be told from none beside the other parameters", False
-        if passed and not _replays_better(data, current, fitted):
+        sure = evidence.beyond_chance > SURE_GAIN
+        if passed and not _replays_better(data, current, fitted, sure):
             reason, passed = (
                 "helps the predictor but not replays of runs that were not fitted",
                 False,
@@ -531,7 +537,7 @@ class _Ahead:
         hopeful = [
             (trial, fitted)
             for trial, fitted in refused
-            if trial.evidence.gain / trial.evidence.inflation > AHEAD_GAIN
+            if trial.evidence.beyond_chance > AHEAD_GAIN
         ]
         hopeful = sorted(hopeful, key=lambda pair: pair[1].objective)[:BEAM]
         passed = [pair for trial, one in hopeful for pair in self._pairs(trial.candidate, one)]
@@ -557,7 +563,7 @@ class _Ahead:
         found = _try(data, first, worth, self._step, tried, self._gained, self._progress)
         found = [(_looked_at(trial, candidate), fitted) for trial, fitted in found]
         self.trials += [trial for trial, _ in found]
-        found.sort(key=lambda pair: -pair[0].evidence.gain / pair[0].evidence.inflation)
+        found.sort(key=lambda pair: -pair[0].evidence.beyond_chance)
         without = fit(data, self._current.hypothesis)
         pairs = [
             _Pair(data, without, _patch_again(data, fit(data, second.hypothesis)), candidate, trial)
@@ -574,15 +580,16 @@ def _looked_at(trial: Trial, first: Candidate) -> Trial:
 def _both_pass(pair: _Pair, tried: int) -> bool:
     """Whether two effects together help runs that were not fitted, and none of them is chance."""
     [check] = check_unseen(pair.data, pair.without, [pair.fitted])
-    if not check.helps or not _replays_better(pair.data, pair.without, pair.fitted):
+    if not check.helps:
         return False
     both = pair.fitted.hypothesis
-    count = len(pair.without.hypothesis.effects)
+    count, sure = len(pair.without.hypothesis.effects), True
     for index in (count, count + 1):
-        alone = fit(pair.data, both.without(index))
-        if weigh(pair.data, alone, pair.fitted, index).p_value * tried >= ALPHA:
+        evidence = weigh(pair.data, fit(pair.data, both.without(index)), pair.fitted, index)
+        if evidence.p_value * tried >= ALPHA:
             return False
-    return True
+        sure = sure and evidence.beyond_chance > SURE_GAIN
+    return _replays_better(pair.data, pair.without, pair.fitted, sure)
 
 
 def _patch_again(data: Data, fitted: Fit) -> Fit:
@@ -637,17 +644,19 @@ def _no_more_than_chance(gain: float, inflation: float, parameters: int) -> bool
     return gain / inflation < chi2.isf(1e-3, parameters)
 
 
-def _replays_better(data: Data, without: Fit, with_effect: Fit) -> bool:
+def _replays_better(data: Data, without: Fit, with_effect: Fit, sure: bool) -> bool:
     """Whether free replays of runs come nearer to the logs, by sizes fitted without their units.
 
-    What helps the predictor only, row by row, describes chance and not the robot.
+    What helps the predictor only, row by row, describes chance and not the robot. But what comes
+    and goes with the turns of a shaft hardly moves a replay: there a `sure` gain decides.
     """
     sets = [fitted_without_each_unit(data, one) for one in (without, with_effect)]
     replays = []
     for unit in range(len(sets[0])):
         runs = [data.runs[k] for k in np.flatnonzero(data.units == unit)]
         replays += replay_all(data.machine, runs, data.noise, [one[unit] for one in sets])
-    return improvement(replays) > 0
+    fall, between = improvement(replays)
+    return fall > 0 or (sure and between < REPLAYS_ALIKE)
 
 
 def _verdict(evidence: Evidence, chance: float, check: Check, gained: float) -> tuple[str, bool]:
@@ -724,7 +733,7 @@ def _drop_needless(data: Data, fitted: Fit, tried: int) -> Fit:
         needless = [
             index
             for index, one in enumerate(judged)
-            if (one.p_value * tried >= ALPHA and one.gain / one.inflation < AHEAD_GAIN)
+            if (one.p_value * tried >= ALPHA and one.beyond_chance < AHEAD_GAIN)
             or one.gain < SHAPE_SHARE * most
         ]
         if not needless:
