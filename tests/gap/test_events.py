@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from omnislip.gap.events import Impact, as_effect, find_impacts, pieces, without_repeated
+from omnislip.gap.events import Impact, as_effect, find_impacts, pieces, too_often, without_repeated
 from omnislip.gap.machine import Machine
 from omnislip.gap.recordings import make_run
 from omnislip.gap.search import first_model
@@ -83,6 +83,16 @@ def test_what_another_run_of_the_same_commands_has_too_is_no_push(
     push, none = np.array([-0.5, 2.0, 0.0]), np.zeros(3)
     impacts = [Impact("run_01", 2.5, push, none), Impact(run_of_other, time_of_other_s, push, none)]
     assert len(without_repeated(runs, impacts)) == kept
+
+
+@pytest.mark.parametrize(("pushes", "often"), [(0, False), (1, False), (5, False), (6, True)])
+def test_more_than_a_push_every_four_seconds_is_too_often(pushes, often):
+    runs = [SimpleNamespace(t_s=np.arange(0.0, 10.05, 0.1)) for _ in range(2)]
+    assert too_often(runs, [None] * pushes) == often
+
+
+def test_one_push_is_never_too_often():
+    assert not too_often([SimpleNamespace(t_s=np.array([0.0, 2.0]))], [None])
 
 
 def test_a_log_is_cut_at_its_own_pushes_and_short_pieces_are_dropped():

@@ -44,12 +44,12 @@ def selected(name, gain, inflation=1.0, variation=0.0):
     return Selected(candidate, np.ones(1), evidence, (), 1.0)
 
 
-def verdict_of(effects, leftover_gain=0.0):
+def verdict_of(effects, leftover_gain=0.0, jolts=False):
     """Verdict where replays are as near as they can be and nothing was refused."""
     left = [SimpleNamespace(gain=leftover_gain)] if leftover_gain else []
     outcome = SimpleNamespace(selected=effects, leftover=left, trials=())
     table = SimpleNamespace(left=Left(0.0, 1.0), closed=Closed(1.0, 0.9, 1.1))
-    return find._verdict(outcome, table, False, [])
+    return find._verdict(outcome, table, False, [], jolts)
 
 
 @pytest.mark.parametrize(
@@ -63,6 +63,10 @@ def verdict_of(effects, leftover_gain=0.0):
 )
 def test_names_that_leave_a_part_of_the_gap_are_not_given(name, share, verdict):
     assert verdict_of([selected(name, 1e5)], 1e5 * share) == verdict
+
+
+def test_what_jolts_more_often_than_anybody_pushes_is_unknown():
+    assert verdict_of([selected("coulomb_friction", 1e5)], jolts=True) == "unknown_effect"
 
 
 @pytest.mark.parametrize(

@@ -151,6 +151,23 @@ def test_floor_of_repeated_manoeuvres_is_what_differs_between_them():
     np.testing.assert_allclose(table.floor, 0.3, rtol=0.15)
 
 
+def test_a_floor_of_few_seconds_is_as_uncertain_as_they_are():
+    """Errors that last a second: eight of them tell the floor no better than to a third.
+
+    Without a gap an excess is two of its standard errors one time in twenty at most.
+    """
+    ratios = []
+    for seed in range(400):
+        rng = np.random.default_rng(seed)
+        one, other = (
+            made_up_replays(name, np.repeat(rng.normal(size=(1, 4, 2)), 100, axis=1).repeat(3, 0))
+            for name in ("one", "other")
+        )
+        left = gap_table([one], [other]).left
+        ratios.append(left.excess / left.standard_error)
+    assert np.mean(np.array(ratios) > 2.0) < 0.05
+
+
 def test_different_commands_are_no_repetition():
     one, other = repeated(scatter=0.3, bias=0.0, seeds=(1, 2))
     moved = made_up_run("other", command=np.cos(7 * one.run.t_s)[:, None])

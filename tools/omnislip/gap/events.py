@@ -57,6 +57,8 @@ MOST_MISFIT = 9.0
 APART_S = 0.3
 REPEATED_S = 0.02
 """Difference of the times of what repeats in another run."""
+LEAST_BETWEEN_S = 4.0
+"""Mean time from push to push below which they are none."""
 REPLAY_STEP_S = 1e-3
 TIMES, SPAN_S, SPAN_ROWS, COARSE = 12, 0.024, 2, 4
 """How many times of a push are tried, over that span or so many rows up to the likeliest row."""
@@ -128,6 +130,12 @@ def without_repeated(runs: Sequence[Run], impacts: Sequence[Impact]) -> list[Imp
     scenario has the same push, it is refused too.
     """
     return [one for one in impacts if not any(_repeats(runs, one, other) for other in impacts)]
+
+
+def too_often(runs: Sequence[Run], impacts: Sequence[Impact]) -> bool:
+    """Whether there are more jumps of velocity than anybody pushes: the floor does that."""
+    duration_s = sum(float(run.t_s[-1] - run.t_s[0]) for run in runs)
+    return len(impacts) * LEAST_BETWEEN_S > max(duration_s, LEAST_BETWEEN_S)
 
 
 def _repeats(runs: Sequence[Run], one: Impact, other: Impact) -> bool:

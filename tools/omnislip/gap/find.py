@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from omnislip.errors import InputError
 from omnislip.files import write_text
-from omnislip.gap.events import Impact, as_effect, find_impacts, known_pushes, pieces
+from omnislip.gap.events import Impact, as_effect, find_impacts, known_pushes, pieces, too_often
 from omnislip.gap.gates import check, logged_set_points, too_poor
 from omnislip.gap.inference import Data, fit, prior_penalty
 from omnislip.gap.inverse import relative_force_error
@@ -218,7 +218,8 @@ def find_gap(
     places = describe(fitted, gap_map) if outcome.selected else []
     progress("asking whether what is left is chance")
     shares = predictable_shares(machine, fitted, outcome.data.noise, after, refit)
-    verdict = _verdict(outcome, table, bool(wiring or impacts), shares)
+    jolts = too_often(runs, impacts)
+    verdict = _verdict(outcome, table, bool(wiring or impacts), shares, jolts)
     something = outcome.selected or verdict == "unknown_effect"
     shapes = _shapes(machine, split, outcome) if something else []
     cautions = [FEW_RUNS] if outcome.selected and split.how not in WHOLE_RUNS else []
@@ -228,6 +229,8 @@ def find_gap(
     if verdict == "unknown_effect":
         progress("describing what is missing")
         unknown = describe_unknown(outcome)
+    mended = [_wiring_words(effect) for effect in wiring]
+    mended += _jolt_words(impacts) if jolts else [_impact_words(impact) for impact in impacts]
     manoeuvres = {}
     for index, one in enumerate(outcome.selected):
         if one.rivals:
@@ -238,7 +241,7 @@ def find_gap(
             manoeuvres |= {one.candidate.name: best} if best else {}
     return Findings(
         verdict,
-        _sentence(verdict, machine, outcome, table, wiring, impacts, unknown, shares, shapes)
+        _sentence(verdict, machine, outcome, table, mended, unknown, shares, shapes)
         + _advice(manoeuvres)
         + "".join(f" {caution}" for caution in cautions),
         machine,
@@ -297,7 +300,9 @@ def _too_cut(split: Split) -> str:
     )
 
 
-def _verdict(outcome: Outcome, table: GapTable, mended: bool, shares: Sequence[Predictable]) -> str:
+def _verdict(
+    outcome: Outcome, table: GapTable, mended: bool, shares: Sequence[Predictable], jolts: bool
+) -> str:
     """Name effects only if they explain what is to be explained."""
     named = sum(s.evidence.gain for s in outcome.selected)
     covered = sum(
@@ -307,7 +312,7 @@ def _verdict(outcome: Outcome, table: GapTable, mended: bool, shares: Sequence[P
     better_term = bool(outcome.leftover) and outcome.leftover[0].gain > covered
     if better_term or _refused(outcome) > max(SURE_GAIN, named) or _much_is_left(table):
         return "unknown_effect"
-    if any(_no_chance(one) for one in shares) or _varying(outcome.selected):
+    if jolts or any(_no_chance(one) for one in shares) or _varying(outcome.selected):
         return "unknown_effect"
     return "effect_found" if outcome.selected or mended else "no_gap"
 
@@ -501,18 +506,15 @@ def _sentence(
     machine: Machine,
     outcome: Outcome,
     table: GapTable,
-    wiring: Sequence[Effect],
-    impacts: Sequence[Impact],
+    mended: Sequence[str],
     unknown: Unknown | None,
     shares: Sequence[Predictable],
     shapes: Sequence[Leftover],
 ) -> str:
-    """Return the verdict as one sentence with numbers."""
+    """Return the verdict as one sentence with numbers; `mended` is what is not a term."""
     if verdict == "no_gap":
         return "No missing effect: the believed model explains these logs within its tolerances."
-    parts = [_wiring_words(effect) for effect in wiring]
-    parts += [_impact_words(impact) for impact in impacts]
-    parts += [_effect_words(machine, s) for s in outcome.selected]
+    parts = [*mended, *(_effect_words(machine, s) for s in outcome.selected)]
     if verdict == "unknown_effect":
         text = "Something is missing that is none of the known effects"
         if unknown:
@@ -571,6 +573,10 @@ def _impact_words(impact: Impact) -> str:
     bearing = float(np.degrees(np.arctan2(impact.impulse[1], impact.impulse[0])))
     when = f"{impact.run} at {impact.time_s:.3f} s"
     return f"impact ({when}, {size:.2g} N s towards {bearing:.0f}° in the world)"
+
+
+def _jolt_words(impacts: Sequence[Impact]) -> list[str]:
+    return [f"{len(impacts)} sudden jumps of velocity, more than anybody pushes"]
 
 
 def _effect_words(machine: Machine, selected: Selected) -> str:

@@ -108,13 +108,19 @@ def gap_table(replays: Sequence[Replays], others: Sequence[Replays] = ()) -> Gap
     run = replays[0].run
     seen = [c for c in range(len(run.channels)) if any(_sampled(r, c) for r in replays)]
     moments = np.stack([_moments(r) for r in replays])[:, :, seen]
-    repeated = _floor_from_repetitions([*replays, *others])
+    repetitions = _repetitions([*replays, *others])
+    repeated = None if repetitions is None else _mean(repetitions, axis=0)
     estimated = _mean(np.stack([_mean_floor(r) for r in replays]), axis=0)
     floor = estimated if repeated is None else _repeated_floor(run, repeated, estimated)
     floor = floor[seen]
     source = PREDICTED if repeated is None else REPEATED
     rmse = np.sqrt(_mean(moments, axis=0))
     left = left_over(replays, seen, floor)
+    if repeated is not None:
+        # A floor from few seconds is as uncertain as they are.
+        scatter = _standard_error(_mean(repetitions[:, seen] / floor, axis=1))
+        error = float(np.hypot(left.standard_error, (1.0 + left.excess) * scatter))
+        left = replace(left, standard_error=error)
     return GapTable(
         tuple(run.channels[c] for c in seen),
         rmse,
@@ -141,9 +147,13 @@ def left_over(replays: Sequence[Replays], seen: Sequence[int], floor: Array) -> 
     """Return the excess that the last model leaves, over the windows of one second."""
     windows = np.concatenate([_window_moments(r) for r in replays])[:, -1, seen]
     excess = _mean(windows / floor - 1.0, axis=1)
-    excess = excess[~np.isnan(excess)]
-    error = float(np.std(excess) / np.sqrt(max(len(excess) - 1, 1)))
-    return Left(float(np.mean(excess)), error)
+    return Left(float(np.nanmean(excess)), _standard_error(excess))
+
+
+def _standard_error(samples: Array) -> float:
+    """Return that of their mean."""
+    samples = samples[~np.isnan(samples)]
+    return float(np.std(samples) / np.sqrt(max(len(samples) - 1, 1)))
 
 
 def improvement(replays: Sequence[Replays]) -> tuple[float, float]:
@@ -239,17 +249,18 @@ def _mean_floor(replays: Replays) -> Array:
     return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
-def _floor_from_repetitions(replays: Sequence[Replays]) -> Array | None:
-    """Half the variance of the difference of replay errors between runs of one manoeuvre.
+def _repetitions(replays: Sequence[Replays]) -> Array | None:
+    """Half the mean square difference of replay errors between runs of one manoeuvre.
 
-    The model's error is the same in both and cancels; what is left is chance.
+    By windows of one second (windows, channels). The model's error is the same in both and cancels;
+    what is left is chance.
     """
     found = []
     for first in range(len(replays)):
         for second in range(first + 1, len(replays)):
             if _repeats(replays[first].run, replays[second].run):
-                found.append(_difference_variance(replays[first], replays[second]))
-    return _mean(np.stack(found), axis=0) if found else None
+                found.append(_halved_difference(replays[first], replays[second]))
+    return np.concatenate(found) if found else None
 
 
 def _repeats(one: Run, other: Run) -> bool:
@@ -264,22 +275,18 @@ def _repeats(one: Run, other: Run) -> bool:
     return float(np.corrcoef(a, b)[0, 1]) > SAME_MANOEUVRE
 
 
-def _difference_variance(one: Replays, other: Replays) -> Array:
-    """(channels,) over the times when both were sampled."""
-    end = min(one.run.t_s[-1], other.run.t_s[-1])
-    result = []
+def _halved_difference(one: Replays, other: Replays) -> Array:
+    """Mean squares (windows, channels) over the times when both were sampled."""
+    shared = one.counted & (one.run.t_s <= other.run.t_s[-1])
+    difference = np.full((1, *one.errors.shape[1:]), np.nan)
     for channel in range(len(one.run.channels)):
-        series = []
-        for r in (one, other):
-            error = r.errors[-1][:, channel]
-            good = ~np.isnan(error) & r.counted & (r.run.t_s <= end)
-            series.append((r.run.t_s[good], error[good]))
-        if min(len(series[0][0]), len(series[1][0])) < 10:
-            result.append(np.nan)
-            continue
-        other_error = np.interp(series[0][0], *series[1])
-        result.append(float(np.mean((series[0][1] - other_error) ** 2) / 2))
-    return np.array(result)
+        first, second = one.errors[-1][:, channel], other.errors[-1][:, channel]
+        there = shared & ~np.isnan(first)
+        known = other.counted & ~np.isnan(second)
+        if min(np.sum(there), np.sum(known)) >= 10:
+            again = np.interp(one.run.t_s[there], other.run.t_s[known], second[known])
+            difference[0, there, channel] = first[there] - again
+    return _window_moments(replace(one, errors=difference / np.sqrt(2.0), counted=shared))[:, 0]
 
 
 def evaluate_model(

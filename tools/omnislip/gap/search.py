@@ -366,7 +366,7 @@ def _starting_sizes(machine: Machine, screened: Screened) -> list[Array]:
     """Sizes to start a fit from: hardly there, the linear estimate up to typical and beyond.
 
     And more than that estimate: play or a dead zone of half the size explains nothing of what the
-    other half does.
+    other half does, and a delay that passes another row moves other commands.
     """
     candidate = screened.candidate
     shapes = {i: float(v) for i, v in enumerate(screened.start) if i not in candidate.amplitudes}
@@ -374,7 +374,7 @@ def _starting_sizes(machine: Machine, screened: Screened) -> list[Array]:
     high = np.array([p.high for p in candidate.parameters])
     margin = np.array([0.01 * p.scale for p in candidate.parameters])
     starts = []
-    for share, most in ((1.0, 0.02), (1.0, 1.0), (1.0, 5.0), (2.5, 5.0)):
+    for share, most in ((1.0, 0.02), (1.0, 1.0), (1.0, 5.0), (1.6, 5.0), (2.5, 5.0)):
         sizes = _neutral(candidate, machine, shapes)
         for index in candidate.amplitudes:
             if not np.isfinite(sizes[index]):
