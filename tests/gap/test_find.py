@@ -65,6 +65,11 @@ def test_names_that_leave_a_part_of_the_gap_are_not_given(name, share, verdict):
     assert verdict_of([selected(name, 1e5)], 1e5 * share) == verdict
 
 
+@pytest.mark.parametrize(("gain", "verdict"), [(60.0, "no_gap"), (150.0, "unknown_effect")])
+def test_a_small_rest_is_what_rows_hide(gain, verdict):
+    assert verdict_of([], gain) == verdict
+
+
 def test_what_jolts_more_often_than_anybody_pushes_is_unknown():
     assert verdict_of([selected("coulomb_friction", 1e5)], jolts=True) == "unknown_effect"
 

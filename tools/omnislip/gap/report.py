@@ -405,8 +405,8 @@ def _thresholds() -> list[tuple[str, str]]:
         ),
         (
             f"{100 * find.UNKNOWN_SHARE:g} %",
-            f"of what the effects have gained (friction curve: {100 * find.CURVE_SHARE:g} %): "
-            "a nameless term that gains more makes the verdict unknown",
+            f"of what the effects have gained (friction curve: {100 * find.CURVE_SHARE:g} %), and "
+            f"{find.LEAST_REST:g}: a nameless term that gains more makes the verdict unknown",
         ),
         (
             f"{100 * find.VARIES:.0f} %",
