@@ -265,6 +265,7 @@ class RobotPlant : public RobotLayout {
 
     void derive_geometry() {
         using std::cos;
+        using std::max;
         using std::sin;
         S sum_xx = S(0.0), sum_yy = S(0.0);
         for (int i = 0; i < 4; ++i) {
@@ -282,9 +283,8 @@ class RobotPlant : public RobotLayout {
         for (int i = 0; i < 4; ++i) {
             leg_x_[i] = wheel_x_[i] / sum_xx;
             leg_y_[i] = wheel_y_[i] / sum_yy;
-            static_load_n_[i] =
-                weight * (S(0.25) + leg_x_[i] * c_.cog_x_m + leg_y_[i] * c_.cog_y_m) +
-                c_.load_bias_n[i];
+            const S share = S(0.25) + leg_x_[i] * c_.cog_x_m + leg_y_[i] * c_.cog_y_m;
+            static_load_n_[i] = max(weight * share + c_.load_bias_n[i], S(0.0));
             shaft_damping_[i] = S(0.0);
         }
         estimate_shaft_damping();
@@ -764,9 +764,11 @@ class RobotPlant : public RobotLayout {
     }
 
     /* N = N0 - m h (leg_x ax + leg_y ay) with m a = F_ext + sum(N_i g_i), solved for a (2 x 2). The
-     * gravity-like part of F_ext (a slope) does not move load: it acts on the whole weight. */
+     * gravity-like part of F_ext (a slope) does not move load: it acts on the whole weight. A wheel
+     * that lifts carries nothing. */
     void transfer_load(RobotInternals<S> &in, const S *along,
                        const BodyTerm<S, 4> &external) const {
+        using std::max;
         const S &h = c_.cog_height_m;
         S fx = external.force_x_n, fy = external.force_y_n;
         S axx = S(1.0), axy = S(0.0), ayx = S(0.0), ayy = S(1.0);
@@ -784,7 +786,8 @@ class RobotPlant : public RobotLayout {
         const S ax = (ayy * fx - axy * fy) / determinant; /* times m */
         const S ay = (axx * fy - ayx * fx) / determinant;
         for (int i = 0; i < 4; ++i) {
-            in.load_n[i] = static_load_n_[i] - h * (leg_x_[i] * ax + leg_y_[i] * ay);
+            const S load_n = static_load_n_[i] - h * (leg_x_[i] * ax + leg_y_[i] * ay);
+            in.load_n[i] = max(load_n, S(0.0));
         }
     }
 
