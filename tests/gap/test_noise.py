@@ -6,7 +6,16 @@ import numpy as np
 import pytest
 from axis_bench import Bench, make_machine, make_runs
 from omnislip.gap.machine import Machine
-from omnislip.gap.noise import NOISES, SENSOR_MARGIN, STEP_S, Noise, track_recordings, tune_noise
+from omnislip.gap.noise import (
+    NOISES,
+    SENSOR_MARGIN,
+    STEP_S,
+    Noise,
+    RunawayError,
+    track_all,
+    track_recordings,
+    tune_noise,
+)
 from omnislip.gap.truth import TruthCase
 from omnislip.model_file import NOMINAL_ROBOT, read_model
 from truth_bench import runs_of
@@ -245,3 +254,17 @@ def test_a_wrong_model_is_not_blamed_on_the_sensors():
     assert np.all(np.isfinite(guess.high[sensors]))
     # Second differences are those of the sensors, so the margin is one of their own noise.
     assert np.sqrt(found.output[5]) < 2.5e-3 * np.exp(SENSOR_MARGIN / 2) * 2.0
+
+
+def test_a_model_that_runs_away_is_named_with_its_log(robot):
+    """Friction that drives: its filter leaves the numbers within some rows."""
+    known = {c.effect: c for c in robot.machine.candidates()}
+    runaway = robot.machine.with_effect(
+        robot.machine.believed, known["viscous_friction_error"], [-0.5]
+    )
+    for follow in (
+        lambda: track_all(robot.machine, robot.runs, runaway, robot.noise),
+        lambda: tune_noise(robot.machine, robot.runs, runaway),
+    ):
+        with pytest.raises(RunawayError, match=f"{robot.runs[0].name}: .* grows without bounds"):
+            follow()

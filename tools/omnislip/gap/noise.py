@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from omnislip import _core
+from omnislip.errors import InputError
 from omnislip.gap.machine import Machine
 from omnislip.gap.recordings import Run
 
@@ -68,6 +69,10 @@ class Noise:
     colour_rate_1_s: float = COLOUR_RATE_1_S
 
 
+class RunawayError(InputError):
+    """A model whose filter grows without bounds on a log."""
+
+
 def track_all(
     machine: Machine,
     runs: Sequence[Run],
@@ -75,10 +80,19 @@ def track_all(
     noise: Noise,
     keep_linear: bool = False,
 ) -> list[_core.Track]:
-    """Run the filter of one parameter set over all runs; `keep_linear` keeps its matrices."""
-    return track_recordings(
-        machine, [run.recording for run in runs], values, noise, STEP_S, keep_linear
-    )
+    """Run the filter of one parameter set over all runs; `keep_linear` keeps its matrices.
+
+    RunawayError if it diverges.
+    """
+    recordings = [run.recording for run in runs]
+    tracks = track_recordings(machine, recordings, values, noise, STEP_S, keep_linear)
+    for run, track in zip(runs, tracks, strict=True):
+        if not np.isfinite(track.log_likelihood):
+            raise RunawayError(
+                f"{run.name}: the model does not follow this log, its motion grows without bounds; "
+                "check masses, inertias and effects of the model file"
+            )
+    return tracks
 
 
 def track_recordings(
@@ -141,7 +155,12 @@ def tune_noise(
     logs = trial = guess.logs if start is None else np.clip(start.logs, guess.low, guess.high)
     best = -np.inf
     for left in reversed(range(paths + 1)):
-        path = _Path(machine, chosen, values, lambda v: make(machine, v), guess, trial)
+        try:
+            path = _Path(machine, chosen, values, lambda v: make(machine, v), guess, trial)
+        except RunawayError:
+            if best == -np.inf:
+                raise
+            break
         if path.log_likelihood < best:  # too far from the path that it was linear along
             break
         best, logs = path.log_likelihood, trial

@@ -41,7 +41,7 @@ from omnislip.gap.inference import (
 from omnislip.gap.leftover import Leftover, find_leftover
 from omnislip.gap.machine import CURVE, PHASE, Candidate, Machine
 from omnislip.gap.metrics import improvement, replay_all
-from omnislip.gap.noise import Noise, tune_noise
+from omnislip.gap.noise import Noise, RunawayError, tune_noise
 from omnislip.gap.recordings import Run
 
 Array = npt.NDArray[np.float64]
@@ -659,7 +659,10 @@ def _replays_better(data: Data, without: Fit, with_effect: Fit, sure: bool) -> b
     replays = []
     for unit in range(len(sets[0])):
         runs = [data.runs[k] for k in np.flatnonzero(data.units == unit)]
-        replays += replay_all(data.machine, runs, data.noise, [one[unit] for one in sets])
+        try:
+            replays += replay_all(data.machine, runs, data.noise, [one[unit] for one in sets])
+        except RunawayError:
+            return False
     fall, between = improvement(replays)
     return fall > 0 or (sure and between < REPLAYS_ALIKE)
 
