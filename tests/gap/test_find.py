@@ -44,10 +44,11 @@ def selected(name, gain, inflation=1.0, variation=0.0):
     return Selected(candidate, np.ones(1), evidence, (), 1.0)
 
 
-def verdict_of(effects, leftover_gain=0.0, jolts=False):
+def verdict_of(effects, leftover_gain=0.0, jolts=False, feigned_gain=0.0):
     """Verdict where replays are as near as they can be and nothing was refused."""
-    left = [SimpleNamespace(gain=leftover_gain)] if leftover_gain else []
-    outcome = SimpleNamespace(selected=effects, leftover=left, trials=())
+    left = [SimpleNamespace(gain=leftover_gain, inflation=1.0)] if leftover_gain else []
+    data = SimpleNamespace(feigned_gain=feigned_gain)
+    outcome = SimpleNamespace(selected=effects, leftover=left, trials=(), data=data)
     table = SimpleNamespace(left=Left(0.0, 1.0), closed=Closed(1.0, 0.9, 1.1))
     return find._verdict(outcome, table, False, [], jolts)
 
@@ -68,6 +69,10 @@ def test_names_that_leave_a_part_of_the_gap_are_not_given(name, share, verdict):
 @pytest.mark.parametrize(("gain", "verdict"), [(60.0, "no_gap"), (150.0, "unknown_effect")])
 def test_a_small_rest_is_what_rows_hide(gain, verdict):
     assert verdict_of([], gain) == verdict
+
+
+def test_a_rest_that_a_controller_may_feign_is_none():
+    assert verdict_of([], 150.0, feigned_gain=200.0) == "no_gap"
 
 
 def test_what_jolts_more_often_than_anybody_pushes_is_unknown():

@@ -8,7 +8,13 @@ from omnislip.gap import inference
 from omnislip.gap.inference import Data, fit
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import CURRENT, STEP_S, track_all, track_recordings, tune_noise
-from omnislip.gap.rows import Projection, hidden_columns, rise_of, whitened_response
+from omnislip.gap.rows import (
+    Projection,
+    feigned_gain,
+    hidden_columns,
+    rise_of,
+    whitened_response,
+)
 from omnislip.gap.search import believed_hypothesis, screen
 from omnislip.gap.truth import TruthCase
 from omnislip.gap.truth_effects import typical_effect
@@ -220,6 +226,19 @@ def test_an_answer_to_strong_disturbances_feigns_no_lag(seed, monkeypatch):
     monkeypatch.setattr(inference, "hidden_columns", no_columns)
     bare = Data(data.machine, data.runs, data.noise, data.machine.believed)
     assert min(promises(bare).values()) > 5 * CHANCE
+
+
+@pytest.mark.parametrize(
+    ("closed_loop", "excitation", "noise_level", "feigned"),
+    [(True, "poor", 2.0, 200.0), (True, "rich", 2.0, 200.0), (False, "ordinary", 2.0, 0.0)],
+)
+def test_gains_that_answers_feign_are_asked_of_closed_loops(
+    closed_loop, excitation, noise_level, feigned
+):
+    data = data_of(
+        seed=951, excitation=excitation, closed_loop=closed_loop, noise_level=noise_level, runs=3
+    )
+    assert feigned_gain(data.machine, data.runs, data.tracks) == feigned == data.feigned_gain
 
 
 @pytest.mark.parametrize("lag", LAGS)

@@ -72,8 +72,8 @@ the names are right in place perhaps, but wrong in shape. Where names were right
 in one case of the benchmark in a hundred, and 0.002 on a real axis. The friction curve has
 parameters enough for its shape and explains much in most robots: less of its gain covers a rest."""
 LEAST_REST = 100.0
-"""Gain that a leftover term must have at least: where nothing is missing, how commands moved within
-rows leaves up to 60 in violent driving and in closed loops."""
+"""Gain beyond chance that a leftover term must have at least: where nothing is missing, how
+commands moved within rows leaves up to 60 in violent driving."""
 PREDICTED_SHARE = 0.15
 """Share of the filter's disturbances that other runs predict; where nothing is missing it is below
 0.1. More than half of the runs have to be helped: some hardly excite what is missing."""
@@ -312,8 +312,10 @@ def _verdict(
         s.evidence.gain * (CURVE_SHARE if s.candidate.effect == CURVE else UNKNOWN_SHARE)
         for s in outcome.selected
     )
-    rest = outcome.leftover[0].gain if outcome.leftover else 0.0
-    better_term = rest > max(covered, LEAST_REST)
+    least = max(LEAST_REST, outcome.data.feigned_gain)
+    better_term = any(
+        one.gain > covered and one.gain / one.inflation > least for one in outcome.leftover
+    )
     if better_term or _refused(outcome) > max(SURE_GAIN, named) or _much_is_left(table):
         return "unknown_effect"
     if jolts or any(_no_chance(one) for one in shares) or _varying(outcome.selected):

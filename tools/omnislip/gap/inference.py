@@ -34,7 +34,7 @@ from omnislip import _core
 from omnislip.gap.machine import Candidate, Machine, Parameter
 from omnislip.gap.noise import STEP_S, Noise, track_all
 from omnislip.gap.recordings import Run
-from omnislip.gap.rows import Projection, hidden_columns
+from omnislip.gap.rows import Projection, feigned_gain, hidden_columns
 
 Array = npt.NDArray[np.float64]
 
@@ -169,6 +169,8 @@ class Data:
         self.hidden = Projection(
             self._kept_only(hidden_columns(machine, runs, self.tracks, values))
         )
+        self.feigned_gain = feigned_gain(machine, runs, self.tracks)
+        """Gain beyond chance below which an effect may be a controller's answer."""
         residual = self.residuals(values[None])[0]
         self.scale = float(np.sqrt(np.sum(residual**2) / max(np.count_nonzero(residual), 1)))
 

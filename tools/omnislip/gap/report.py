@@ -15,7 +15,7 @@ import matplotlib as mpl
 import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from omnislip.gap import find, inference, metrics, report_pictures, search
+from omnislip.gap import find, inference, metrics, report_pictures, rows, search
 from omnislip.gap.find import Findings, to_json
 from omnislip.gap.machine import Candidate, Machine
 from omnislip.gap.metrics import Replays
@@ -405,8 +405,16 @@ def _thresholds() -> list[tuple[str, str]]:
         ),
         (
             f"{100 * find.UNKNOWN_SHARE:g} %",
-            f"of what the effects have gained (friction curve: {100 * find.CURVE_SHARE:g} %), and "
-            f"{find.LEAST_REST:g}: a nameless term that gains more makes the verdict unknown",
+            f"of what the effects have gained (friction curve: {100 * find.CURVE_SHARE:g} %): "
+            "a nameless term that gains more makes the verdict unknown",
+        ),
+        (
+            f"{find.LEAST_REST:g}",
+            "least gain / inflation of such a term",
+        ),
+        (
+            f"{rows.FEIGNED_GAIN:g}",
+            "least gain / inflation of anything where a controller answers within rows",
         ),
         (
             f"{100 * find.VARIES:.0f} %",

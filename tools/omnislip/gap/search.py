@@ -345,7 +345,8 @@ def _promise(
     for k, index in enumerate(candidate.amplitudes):
         sizes[index] = start.get(index, amount[k])
     inflation = inflation_of(data, free, current.residual + free @ amount, gram)
-    limit = np.sqrt(VISIBLE_GAIN * inflation / np.maximum(np.diag(gram), 1e-12))
+    visible = max(VISIBLE_GAIN, data.feigned_gain)
+    limit = np.sqrt(visible * inflation / np.maximum(np.diag(gram), 1e-12))
     return Screened(promise, candidate, sizes, limit)
 
 
@@ -486,7 +487,7 @@ def _try(
         values = fitted.hypothesis.values_of(len(current.hypothesis.effects))
         absent = _neutral(candidate, data.machine, {})
         chance = min(1.0, evidence.p_value * tried)
-        reason, passed = _verdict(evidence, chance, check, gained)
+        reason, passed = _verdict(data, evidence, chance, check, gained)
         if passed and not _differs(candidate, values - absent, evidence):
             reason, passed = "its size cannot be told from none beside the other parameters", False
         sure = evidence.beyond_chance > SURE_GAIN
@@ -591,7 +592,7 @@ def _both_pass(pair: _Pair, tried: int) -> bool:
     count, sure = len(pair.without.hypothesis.effects), True
     for index in (count, count + 1):
         evidence = weigh(pair.data, fit(pair.data, both.without(index)), pair.fitted, index)
-        if evidence.p_value * tried >= ALPHA:
+        if evidence.p_value * tried >= ALPHA or evidence.beyond_chance < pair.data.feigned_gain:
             return False
         sure = sure and evidence.beyond_chance > SURE_GAIN
     return _replays_better(pair.data, pair.without, pair.fitted, sure)
@@ -667,9 +668,13 @@ def _replays_better(data: Data, without: Fit, with_effect: Fit, sure: bool) -> b
     return fall > 0 or (sure and between < REPLAYS_ALIKE)
 
 
-def _verdict(evidence: Evidence, chance: float, check: Check, gained: float) -> tuple[str, bool]:
+def _verdict(
+    data: Data, evidence: Evidence, chance: float, check: Check, gained: float
+) -> tuple[str, bool]:
     if chance >= ALPHA:
         return f"could be chance (p = {chance:.2g} over everything tried)", False
+    if evidence.beyond_chance < data.feigned_gain:
+        return "a controller that answers within rows feigns as much", False
     if check.gain <= 0:
         return "makes runs worse that were not fitted", False
     voters = int(np.sum(check.voters))
@@ -742,6 +747,7 @@ def _drop_needless(data: Data, fitted: Fit, tried: int) -> Fit:
             index
             for index, one in enumerate(judged)
             if (one.p_value * tried >= ALPHA and one.beyond_chance < AHEAD_GAIN)
+            or one.beyond_chance < data.feigned_gain
             or one.gain < SHAPE_SHARE * most
         ]
         if not needless:
