@@ -442,9 +442,12 @@ def browse(page: Path, profile: Path) -> subprocess.CompletedProcess[str]:
     )
 
 
-def test_wiring_and_impacts_are_shown_before_the_effects(found):
+@pytest.mark.parametrize("verdict", ["effect_found", "unknown_effect"])
+def test_wiring_and_impacts_are_shown_before_the_effects(found, verdict):
+    """Where something is unknown, impacts and effects are only the nearest."""
     push = Impact("run_02", 1.25, np.array([1.5, -2.5, 0.1]), np.array([0.1, 0.1, 0.01]))
-    mended = replace(found, wiring=[Effect("encoder_sign", {}, 2)], impacts=[push])
+    wiring = [Effect("encoder_sign", {}, 2)]
+    mended = replace(found, verdict=verdict, wiring=wiring, impacts=[push])
     page = render(mended, "omnislip")
     first = found.outcome.selected[0].candidate.name
     places = [page.index(f"<h3>{name}") for name in ("encoder_sign", "impact (run_02)", first)]

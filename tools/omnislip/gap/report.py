@@ -150,7 +150,8 @@ def _effects(findings: Findings, numbers: Json) -> list[Json]:
     """
     if not findings.outcome:
         return []
-    machine = findings.machine
+    machine, pushes = findings.machine, len(findings.impacts)
+    terms = numbers["effects"][len(findings.wiring) :] or numbers["nearest"]
     gates = [
         {
             "name": effect.name
@@ -176,11 +177,8 @@ def _effects(findings: Findings, numbers: Json) -> list[Json]:
             "stability": None,
             "manoeuvre": None,
         }
-        for impact, found in zip(
-            findings.impacts, numbers["effects"][len(findings.wiring) :], strict=False
-        )
+        for impact, found in zip(findings.impacts, terms[:pushes], strict=True)
     ]
-    known = numbers["effects"][len(gates) :] or numbers["nearest"]
     return gates + [
         {
             "name": selected.candidate.name,
@@ -193,7 +191,7 @@ def _effects(findings: Findings, numbers: Json) -> list[Json]:
             "stability": effect["evidence"]["stability"],
             "manoeuvre": effect["separating_manoeuvre"],
         }
-        for selected, effect in zip(findings.outcome.selected, known, strict=True)
+        for selected, effect in zip(findings.outcome.selected, terms[pushes:], strict=True)
     ]
 
 
