@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from axis_bench import Bench, make_machine, make_runs
+from omnislip.gap.inference import Data
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import (
     NOISES,
@@ -12,7 +13,6 @@ from omnislip.gap.noise import (
     STEP_S,
     Noise,
     RunawayError,
-    track_all,
     track_recordings,
     tune_noise,
 )
@@ -263,7 +263,7 @@ def test_a_model_that_runs_away_is_named_with_its_log(robot):
         robot.machine.believed, known["viscous_friction_error"], [-0.5]
     )
     for follow in (
-        lambda: track_all(robot.machine, robot.runs, runaway, robot.noise),
+        lambda: Data(robot.machine, robot.runs, robot.noise, runaway),
         lambda: tune_noise(robot.machine, robot.runs, runaway),
     ):
         with pytest.raises(RunawayError, match=f"{robot.runs[0].name}: .* grows without bounds"):

@@ -32,7 +32,7 @@ from scipy.stats import t as student
 
 from omnislip import _core
 from omnislip.gap.machine import Candidate, Machine, Parameter
-from omnislip.gap.noise import STEP_S, Noise, track_all
+from omnislip.gap.noise import STEP_S, Noise, require_following, track_all
 from omnislip.gap.recordings import Run
 from omnislip.gap.rows import Projection, feigned_gain, hidden_columns
 
@@ -158,6 +158,7 @@ class Data:
         self.runs = list(runs)
         self.noise = noise
         self.tracks = track_all(machine, runs, values, noise, keep_linear=True)
+        require_following(runs, self.tracks)
         self.recordings = [run.recording for run in runs]
         self.believed = machine.believed
         self._kept = [self.kept_rows(run) for run in self.runs]

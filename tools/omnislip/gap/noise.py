@@ -80,19 +80,20 @@ def track_all(
     noise: Noise,
     keep_linear: bool = False,
 ) -> list[_core.Track]:
-    """Run the filter of one parameter set over all runs; `keep_linear` keeps its matrices.
+    """Run the filter of one parameter set over all runs; `keep_linear` keeps its matrices."""
+    return track_recordings(
+        machine, [run.recording for run in runs], values, noise, STEP_S, keep_linear
+    )
 
-    RunawayError if it diverges.
-    """
-    recordings = [run.recording for run in runs]
-    tracks = track_recordings(machine, recordings, values, noise, STEP_S, keep_linear)
+
+def require_following(runs: Sequence[Run], tracks: Sequence[_core.Track]) -> None:
+    """Raise RunawayError if a filter has diverged."""
     for run, track in zip(runs, tracks, strict=True):
         if not np.isfinite(track.log_likelihood):
             raise RunawayError(
                 f"{run.name}: the model does not follow this log, its motion grows without bounds; "
                 "check masses, inertias and effects of the model file"
             )
-    return tracks
 
 
 def track_recordings(
@@ -190,6 +191,7 @@ class _Path:
         self._engine, self._make, self._guess = machine.engine, make, guess
         self._recordings = [run.recording for run in runs]
         self._tracks = track_all(machine, runs, values, make(logs), keep_linear=True)
+        require_following(runs, self._tracks)
         total = sum(track.log_likelihood for track in self._tracks)
         self.log_likelihood = float(total - self._pull(logs))
 
