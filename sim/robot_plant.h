@@ -20,6 +20,10 @@
  *              - m h (x_i ax / sum x^2 + y_i ay / sum y^2)
  * (minimum-norm balance of four legs). With h > 0 the load depends on the acceleration and the
  * acceleration on the load; both are linear, so a 2 x 2 system is solved instead of iterating.
+ * Four legs leave the pattern n = (1, -1, 1, -1) free: where a wheel would pull at the floor, N
+ * moves along n until that wheel carries nothing, and the others balance the robot. Where one of
+ * each sign would pull, no n helps: the robot tips, which the plant does not follow, and those
+ * wheels carry nothing.
  *
  * Effects enter through the hooks of effects.h; an effect at its neutral value is never called.
  */
@@ -112,6 +116,7 @@ template <class S>
 class RobotPlant : public RobotLayout {
     using Lot = typename LotOf<S>::Type;
     static constexpr int kLot = LotOf<S>::kWheels;
+    static constexpr double kFreeLoad[4] = {1.0, -1.0, 1.0, -1.0}; /* which four legs leave free */
 
   public:
     using Step = RobotStep<S>;
@@ -265,7 +270,6 @@ class RobotPlant : public RobotLayout {
 
     void derive_geometry() {
         using std::cos;
-        using std::max;
         using std::sin;
         S sum_xx = S(0.0), sum_yy = S(0.0);
         for (int i = 0; i < 4; ++i) {
@@ -284,11 +288,13 @@ class RobotPlant : public RobotLayout {
             leg_x_[i] = wheel_x_[i] / sum_xx;
             leg_y_[i] = wheel_y_[i] / sum_yy;
             const S share = S(0.25) + leg_x_[i] * c_.cog_x_m + leg_y_[i] * c_.cog_y_m;
-            static_load_n_[i] = max(weight * share + c_.load_bias_n[i], S(0.0));
+            static_load_n_[i] = weight * share + c_.load_bias_n[i];
             shaft_damping_[i] = S(0.0);
         }
         estimate_shaft_damping();
         load_moves_ = any_differs(&c_.cog_height_m, 1, 0.0);
+        if (!load_moves_)
+            rest_on_the_floor(static_load_n_, kFreeLoad);
         off_centre_ = any_differs(&c_.cog_x_m, 1, 0.0) || any_differs(&c_.cog_y_m, 1, 0.0);
         bus_sags_ = any_differs(&c_.source_resistance_ohm, 1, 0.0);
     }
@@ -764,31 +770,53 @@ class RobotPlant : public RobotLayout {
     }
 
     /* N = N0 - m h (leg_x ax + leg_y ay) with m a = F_ext + sum(N_i g_i), solved for a (2 x 2). The
-     * gravity-like part of F_ext (a slope) does not move load: it acts on the whole weight. A wheel
-     * that lifts carries nothing. */
+     * gravity-like part of F_ext (a slope) does not move load: it acts on the whole weight. More of
+     * the free pattern in N0 changes the floor's force too, so N changes by more than that. */
     void transfer_load(RobotInternals<S> &in, const S *along,
                        const BodyTerm<S, 4> &external) const {
-        using std::max;
         const S &h = c_.cog_height_m;
-        S fx = external.force_x_n, fy = external.force_y_n;
+        S fx = external.force_x_n, fy = external.force_y_n, free_x = S(0.0), free_y = S(0.0);
         S axx = S(1.0), axy = S(0.0), ayx = S(0.0), ayy = S(1.0);
         for (int i = 0; i < 4; ++i) {
             const S gx = along[i] * drive_x_[i] + in.roller_force_n[i] * drive_y_[i];
             const S gy = along[i] * drive_y_[i] - in.roller_force_n[i] * drive_x_[i];
             fx = fx + static_load_n_[i] * gx;
             fy = fy + static_load_n_[i] * gy;
+            free_x = free_x + S(kFreeLoad[i]) * gx;
+            free_y = free_y + S(kFreeLoad[i]) * gy;
             axx = axx + h * leg_x_[i] * gx;
             axy = axy + h * leg_y_[i] * gx;
             ayx = ayx + h * leg_x_[i] * gy;
             ayy = ayy + h * leg_y_[i] * gy;
         }
-        const S determinant = axx * ayy - axy * ayx;
-        const S ax = (ayy * fx - axy * fy) / determinant; /* times m */
-        const S ay = (axx * fy - ayx * fx) / determinant;
+        const S per_determinant = S(1.0) / (axx * ayy - axy * ayx);
+        /* h leg m a of a push, with the load that it moves */
+        const auto lean = [&](const S &push_x, const S &push_y, int i) {
+            const S ax = (ayy * push_x - axy * push_y) * per_determinant;
+            const S ay = (axx * push_y - ayx * push_x) * per_determinant;
+            return h * (leg_x_[i] * ax + leg_y_[i] * ay);
+        };
+        S free_load[4];
         for (int i = 0; i < 4; ++i) {
-            const S load_n = static_load_n_[i] - h * (leg_x_[i] * ax + leg_y_[i] * ay);
-            in.load_n[i] = max(load_n, S(0.0));
+            in.load_n[i] = static_load_n_[i] - lean(fx, fy, i);
+            free_load[i] = S(kFreeLoad[i]) - lean(free_x, free_y, i);
         }
+        rest_on_the_floor(in.load_n, free_load);
+    }
+
+    /* Moves the loads along the free pattern until no wheel pulls at the floor. */
+    template <class Load>
+    static void rest_on_the_floor(S *load_n, const Load *free_load) {
+        using std::max;
+        constexpr double kLeast = 0.1; /* a pattern that hardly moves the wheel's load is no help */
+        const auto needed_n = [&](int i) {
+            return -load_n[i] / max(S(kFreeLoad[i]) * S(free_load[i]), S(kLeast));
+        };
+        const S gain_n = max(max(needed_n(0), needed_n(2)), S(0.0));
+        const S loss_n = max(max(needed_n(1), needed_n(3)), S(0.0));
+        const S moved_n = gain_n - loss_n;
+        for (int i = 0; i < 4; ++i)
+            load_n[i] = max(load_n[i] + moved_n * S(free_load[i]), S(0.0));
     }
 
     SensorTerm<S, 4> sensors(const S *x, const S &time_s) const {

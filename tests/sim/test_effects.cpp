@@ -462,15 +462,36 @@ static void assert_loads_carry_the_robot(const RobotModel &model, double height_
                               balance.moment_y_nm);
 }
 
-static void loads_carry_the_robot_on_all_wheels(void) {
+static void loads_carry_the_robot_in_every_case(void) {
     const RobotModel high = RobotModel().effect("load_transfer", "cog_height_m", 0.15);
     const RobotModel off =
         RobotModel(high).effect("cog_offset", "x_m", 0.02).effect("cog_offset", "y_m", -0.03);
     assert_loads_carry_the_robot(RobotModel(), 0.0, 0.0, 0.0);
     assert_loads_carry_the_robot(high, 0.15, 0.0, 0.0);
     assert_loads_carry_the_robot(off, 0.15, 0.02, -0.03);
-    assert_loads_carry_the_robot(RobotModel(off).effect("diagonal_load_bias", "force_n", 7.0), 0.15,
+    assert_loads_carry_the_robot(RobotModel(off).effect("diagonal_load_bias", "force_n", 9.0), 0.15,
                                  0.02, -0.03);
+}
+
+/* The others balance it: three wheels leave nothing free, two across from each other neither. */
+static void lifted_wheels_load_goes_to_the_others(void) {
+    const RobotModel high = RobotModel().effect("load_transfer", "cog_height_m", 0.15);
+    const RobotModel off =
+        RobotModel(high).effect("cog_offset", "x_m", 0.02).effect("cog_offset", "y_m", -0.03);
+    for (const double bias_n : {-60.0, 20.0, 60.0}) {
+        const RobotModel tilted = RobotModel(off).effect("diagonal_load_bias", "force_n", bias_n);
+        int lifted = 0;
+        for (const double load_n : moving(tilted).load_n) {
+            TEST_ASSERT_TRUE(load_n >= 0.0);
+            lifted += load_n < 1e-11;
+        }
+        TEST_ASSERT_EQUAL_INT(1, lifted);
+        assert_loads_carry_the_robot(tilted, 0.15, 0.02, -0.03);
+    }
+    const RobotInternals<double> on_two =
+        moving(RobotModel().effect("diagonal_load_bias", "force_n", 60.0));
+    for (int i = 0; i < 4; ++i)
+        TEST_ASSERT_DOUBLE_WITHIN(1e-12, kNull[i] > 0 ? 2.0 * kLoad_n : 0.0, on_two.load_n[i]);
 }
 
 /* A slope pulls at the centre of gravity as gravity does: what tips the robot is the floor's
@@ -492,7 +513,7 @@ static void accelerating_robot_leans_on_its_rear_wheels(void) {
 }
 
 /* A wheel that pulled at the floor from above would drive the robot the wrong way. */
-static void lifted_wheel_carries_nothing(void) {
+static void wheels_of_a_tipping_robot_carry_nothing(void) {
     Robot robot(RobotModel()
                     .effect("cog_offset", "x_m", -0.1)
                     .effect("load_transfer", "cog_height_m", 0.3));
@@ -501,11 +522,6 @@ static void lifted_wheel_carries_nothing(void) {
     TEST_ASSERT_EQUAL_DOUBLE(0.0, robot.in.load_n[0]);
     TEST_ASSERT_EQUAL_DOUBLE(0.0, robot.in.load_n[3]);
     TEST_ASSERT_TRUE(robot.in.load_n[1] > kLoad_n && robot.in.load_n[2] > kLoad_n);
-
-    const RobotInternals<double> tilted =
-        moving(RobotModel().effect("diagonal_load_bias", "force_n", 60.0));
-    for (int i = 0; i < 4; ++i)
-        TEST_ASSERT_DOUBLE_WITHIN(1e-12, kNull[i] > 0 ? kLoad_n + 60.0 : 0.0, tilted.load_n[i]);
 }
 
 static void diagonal_bias_loads_wheels_one_and_three(void) {
@@ -702,10 +718,11 @@ int main(void) {
     RUN_TEST(wheel_distance_is_the_lever_of_the_turn);
     RUN_TEST(roller_friction_adds_to_the_coefficient);
     RUN_TEST(rolling_resistance_brakes_the_body_and_not_the_shaft);
-    RUN_TEST(loads_carry_the_robot_on_all_wheels);
+    RUN_TEST(loads_carry_the_robot_in_every_case);
     RUN_TEST(slope_alone_does_not_shift_load);
     RUN_TEST(accelerating_robot_leans_on_its_rear_wheels);
-    RUN_TEST(lifted_wheel_carries_nothing);
+    RUN_TEST(lifted_wheels_load_goes_to_the_others);
+    RUN_TEST(wheels_of_a_tipping_robot_carry_nothing);
     RUN_TEST(diagonal_bias_loads_wheels_one_and_three);
     RUN_TEST(centre_of_gravity_flies_straight);
     RUN_TEST(slope_accelerates_along_the_world_axes);
