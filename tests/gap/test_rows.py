@@ -10,8 +10,8 @@ from omnislip.gap.machine import Machine
 from omnislip.gap.noise import CURRENT, STEP_S, track_all, track_recordings, tune_noise
 from omnislip.gap.rows import (
     Projection,
-    feigned_gain,
     hidden_columns,
+    news_of,
     rise_of,
     whitened_response,
 )
@@ -130,13 +130,17 @@ def driven_finely(machine, run, noise, rise, parts=5):
     return (after - before)[::parts]
 
 
+def columns_of(machine, runs, tracks, values):
+    return hidden_columns(machine, runs, tracks, values, news_of(machine, runs, tracks))
+
+
 def test_a_log_driven_in_open_loop_hides_only_how_its_commands_rise_within_rows():
     """The first column is what a finer log would show, whose filter follows parts of rows."""
     data = data_of(seed=5, runs=2, run_duration_s=2.0)
     machine, run = data.machine, data.runs[0]
     noise = replace(data.noise, unresolved=0.0)  # a finer log leaves nothing unresolved
     tracks = track_all(machine, [run], machine.believed, noise, keep_linear=True)
-    columns = hidden_columns(machine, [run], tracks, machine.believed)
+    columns = columns_of(machine, [run], tracks, machine.believed)
     assert columns.shape[1] == 2
     kept = data.kept_rows(run)
     found = columns[:, 0].reshape(run.outputs.shape)[kept]
@@ -152,7 +156,7 @@ def test_a_log_driven_in_open_loop_is_known_as_such(excitation):
     runs = runs_of(machine, case)
     noise = tune_noise(machine, runs, machine.believed)
     data = Data(machine, runs, noise, machine.believed)
-    assert hidden_columns(machine, runs, data.tracks, machine.believed).shape[1] == 2
+    assert columns_of(machine, runs, data.tracks, machine.believed).shape[1] == 2
 
 
 @pytest.mark.parametrize("seed", [11, 16])
@@ -178,7 +182,7 @@ def test_commands_that_rise_within_rows_feign_no_soft_gear(seed, monkeypatch):
 def test_currents_at_the_begin_of_a_row_are_half_a_rise_off(electric):
     """Where the first command rises: the filter has answered nothing yet."""
     believed = electric.machine.believed
-    columns = hidden_columns(electric.machine, electric.runs, electric.tracks, believed)
+    columns = columns_of(electric.machine, electric.runs, electric.tracks, believed)
     run, track = electric.runs[0], electric.tracks[0]
     rows, outputs = run.outputs.shape
     rise = rise_of(run, from_before=False)
@@ -214,7 +218,7 @@ def promises(data, names=LAGS):
     return {s.candidate.effect: s.promise for s in screen(data, base, asked)}
 
 
-def no_columns(machine, runs, tracks, values):
+def no_columns(machine, runs, tracks, values, news):
     return np.zeros((sum(len(run.t_s) for run in runs) * machine.engine.outputs, 0))
 
 
@@ -238,7 +242,7 @@ def test_gains_that_answers_feign_are_asked_of_closed_loops(
     data = data_of(
         seed=951, excitation=excitation, closed_loop=closed_loop, noise_level=noise_level, runs=3
     )
-    assert feigned_gain(data.machine, data.runs, data.tracks) == feigned == data.feigned_gain
+    assert data.feigned_gain == feigned
 
 
 @pytest.mark.parametrize("lag", LAGS)
@@ -247,5 +251,5 @@ def test_a_true_lag_still_stands_out(lag):
     hidden = (typical_effect(lag, None).as_dict(),)
     data = data_of(seed=5, effects=hidden, runs=2, run_duration_s=2.0, closed_loop=True)
     believed = data.machine.believed
-    assert hidden_columns(data.machine, data.runs, data.tracks, believed).shape[1] > 2
+    assert columns_of(data.machine, data.runs, data.tracks, believed).shape[1] > 2
     assert promises(data)[lag] > 5 * CHANCE

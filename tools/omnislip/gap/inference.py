@@ -34,7 +34,7 @@ from omnislip import _core
 from omnislip.gap.machine import Candidate, Machine, Parameter
 from omnislip.gap.noise import STEP_S, Noise, require_following, track_all
 from omnislip.gap.recordings import Run
-from omnislip.gap.rows import Projection, feigned_gain, hidden_columns
+from omnislip.gap.rows import Projection, hidden_columns, news_of
 
 Array = npt.NDArray[np.float64]
 
@@ -167,10 +167,11 @@ class Data:
         self.units = np.array([units.index(run.unit) for run in self.runs])
         """Number of the unit of each run (runs,)."""
         self.scale = 1.0
+        news = news_of(machine, runs, self.tracks)
         self.hidden = Projection(
-            self._kept_only(hidden_columns(machine, runs, self.tracks, values))
+            self._kept_only(hidden_columns(machine, runs, self.tracks, values, news))
         )
-        self.feigned_gain = feigned_gain(machine, runs, self.tracks)
+        self.feigned_gain = news.feigned_gain
         """Gain beyond chance below which an effect may be a controller's answer."""
         residual = self.residuals(values[None])[0]
         self.scale = float(np.sqrt(np.sum(residual**2) / max(np.count_nonzero(residual), 1)))

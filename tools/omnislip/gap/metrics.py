@@ -164,11 +164,11 @@ def improvement(replays: Sequence[Replays]) -> tuple[float, float]:
     """
     falls, between = [], []
     for one in replays:
-        apart = replace(one, errors=one.errors[:1] - one.errors[1:2])
+        difference = replace(one, errors=one.errors[:1] - one.errors[1:2])
         floor = np.maximum(_mean_floor(one), np.finfo(float).tiny)
         square = _window_moments(one) / floor
         falls.append(square[:, 0] - square[:, 1])
-        between.append(_window_moments(apart)[:, 0] / floor)
+        between.append(_window_moments(difference)[:, 0] / floor)
     seen = any(np.any(~np.isnan(fall)) for fall in falls)
     fall, apart = (float(np.nanmean(np.concatenate(a))) if seen else 0.0 for a in (falls, between))
     return fall, apart

@@ -27,7 +27,7 @@ from omnislip import _core
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import Noise, track_all
 from omnislip.gap.recordings import Run
-from omnislip.gap.rows import commands_answer
+from omnislip.gap.rows import news_of
 
 Array = npt.NDArray[np.float64]
 
@@ -74,7 +74,7 @@ def predictable_shares(
     features, targets, there, owners = [], [], [], []
     gear = float(machine.model.values["motor.gear_ratio"])
     tracks = track_all(machine, runs, values, noise)
-    late_s = ANSWERED_S if commands_answer(machine, runs, tracks) else 0.0
+    late_s = ANSWERED_S if news_of(machine, runs, tracks).answers else 0.0
     after = _states(runs, tracks)
     before = _states(runs, track_all(machine, runs, without, noise))
     for run, state, unexplained in zip(runs, after, before, strict=True):

@@ -32,6 +32,7 @@ the whitened innovations: with N = U S V', r becomes r - U (1 - 1 / sqrt(1 + S^2
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -63,8 +64,30 @@ RATE_DEVIATION = 0.1
 """Of the rate of a row's rise, as a share of how far the rate from the row before is from it."""
 
 
+@dataclass(frozen=True)
+class News:
+    """What is new in the commands (rows, 4) of each run; share of it that innovations explain."""
+
+    new: list[Array]
+    share: float
+
+    @property
+    def answers(self) -> bool:
+        """Whether commands answer what disturbs the wheels: whether a loop is closed."""
+        return self.share > FOLLOWS
+
+    @property
+    def feigned_gain(self) -> float:
+        """Gain beyond chance that a controller's answers feign where nothing is missing."""
+        return FEIGNED_GAIN if self.share > FOLLOWS_CLOSELY else 0.0
+
+
 def hidden_columns(
-    machine: Machine, runs: Sequence[Run], tracks: Sequence[_core.Track], values: Array
+    machine: Machine,
+    runs: Sequence[Run],
+    tracks: Sequence[_core.Track],
+    values: Array,
+    news: News,
 ) -> Array:
     """Return whitened columns (all rows * outputs, columns) of `tracks` that kept their matrices.
 
@@ -73,13 +96,11 @@ def hidden_columns(
     """
     if machine.kind != "robot":
         return np.zeros((sum(len(run.t_s) for run in runs) * machine.engine.outputs, 0))
-    news, share = _news(machine, runs, tracks)
-    follows = share > FOLLOWS
-    columns = _rises(machine, runs, tracks, values, follows)
-    if follows:
+    columns = _rises(machine, runs, tracks, values, news.answers)
+    if news.answers:
         answers = [
             _answers(machine, run, track, new)
-            for run, track, new in zip(runs, tracks, news, strict=True)
+            for run, track, new in zip(runs, tracks, news.new, strict=True)
         ]
         columns = np.hstack([np.concatenate(answers), columns])
     return columns
@@ -155,18 +176,6 @@ def _patterns(machine: Machine) -> tuple[Array, Array, Array]:
     return together - turning, turning, np.eye(4) - together
 
 
-def commands_answer(machine: Machine, runs: Sequence[Run], tracks: Sequence[_core.Track]) -> bool:
-    """Return whether commands answer what disturbs the wheels: whether a loop is closed."""
-    return _news(machine, runs, tracks)[1] > FOLLOWS
-
-
-def feigned_gain(machine: Machine, runs: Sequence[Run], tracks: Sequence[_core.Track]) -> float:
-    """Return the gain beyond chance that a controller's answers feign where nothing is missing."""
-    if machine.kind != "robot":
-        return 0.0
-    return FEIGNED_GAIN if _news(machine, runs, tracks)[1] > FOLLOWS_CLOSELY else 0.0
-
-
 def whitened_response(
     machine: Machine, run: Run, track: _core.Track, push: Array, shown: Array
 ) -> Array:
@@ -208,13 +217,13 @@ class Projection:
         return residuals - ((residuals @ self._axes) * self._share) @ self._axes.T
 
 
-def _news(
-    machine: Machine, runs: Sequence[Run], tracks: Sequence[_core.Track]
-) -> tuple[list[Array], float]:
-    """Return what is new in the commands (rows, 4) of each run, and the share of it that follows.
+def news_of(machine: Machine, runs: Sequence[Run], tracks: Sequence[_core.Track]) -> News:
+    """Return what is new in the commands beside what the wheel's last commands lead to (linearly).
 
-    The prediction is linear in the wheel's last commands and innovations.
+    Nothing of machines other than robots.
     """
+    if machine.kind != "robot":
+        return News([], 0.0)
     past, now = [], []
     for run, track in zip(runs, tracks, strict=True):
         innovation = np.nan_to_num(track.innovation.reshape(len(run.t_s), -1)[:, :4])
@@ -235,14 +244,14 @@ def _news(
     if share < BEYOND_CHANCE * PAST / len(unpredicted):
         share = 0.0
     weights = _rest(x[moderate] / scale, y[moderate])[1] / scale
-    news = []
+    found = []
     for run, own, target in zip(runs, past, now, strict=True):
         new = (target - own @ weights).reshape(-1, machine.engine.motors)
         limit = CLIP * max(_spread(new), 1e-12)
         padded = np.zeros(run.command.shape)
         padded[PAST:] = np.clip(new, -limit, limit)
-        news.append(padded)
-    return news, float(share)
+        found.append(padded)
+    return News(found, float(share))
 
 
 def _rest(x: Array, y: Array) -> tuple[Array, Array]:

@@ -389,7 +389,7 @@ def _starting_sizes(machine: Machine, screened: Screened) -> list[Array]:
             amount = float(np.clip(share * screened.start[index], -most, most))
             sizes[index] = sizes[index] + _reach(candidate, machine, index) * amount
         starts.append(np.clip(sizes, low + margin, high - margin))
-    return starts
+    return list(np.unique(starts, axis=0))
 
 
 def _refit(data: Data, current: Fit, screened: Sequence[Screened]) -> list[Fit]:
