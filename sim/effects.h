@@ -97,7 +97,7 @@ struct Constants {
     S load_bias_n[N];
     S cog_x_m, cog_y_m, cog_height_m;
     S source_resistance_ohm;
-    S pose_delay_s, clock_fraction; /* of the camera, where the plant follows the log's clock */
+    S pose_delay_s, clock_fraction; /* of the camera */
     S zero_angle_rad;               /* reading at which a pendulum hangs straight down */
     S friction_speed;               /* rad/s at the shaft; a Coulomb torque is smoothed over it */
     /* memory: see memory.h */
@@ -161,7 +161,6 @@ struct SensorTerm {
     S gyro_rad_s, x_m, y_m, theta_rad; /* in and out */
     S encoder_rate[N];                 /* in and out: encoder angle per shaft angle */
     const S *speed_rad_s;
-    S world_vx_m_s, world_vy_m_s, omega_rad_s, time_s;
 };
 
 template <class S>
@@ -1230,18 +1229,12 @@ struct PoseLatency : Effect {
                                         "exposure and transport",
                                         Scope::kWhole,
                                         kRobot | kOdometry,
-                                        kPrepare | kSensor,
+                                        kPrepare,
                                         1,
                                         {{"delay_s", "s", 0.0, -0.05, 0.5, 0.01}}};
     template <class S, int N>
     static void prepare(Constants<S, N> &c, const Values<S> &p) {
         c.pose_delay_s = p(0);
-    }
-    template <class S, int N>
-    static void sensor(SensorTerm<S, N> &c, const Values<S> &p) {
-        c.x_m = c.x_m - p(0) * c.world_vx_m_s;
-        c.y_m = c.y_m - p(0) * c.world_vy_m_s;
-        c.theta_rad = c.theta_rad - p(0) * c.omega_rad_s;
     }
 };
 
@@ -1313,19 +1306,12 @@ struct ClockSkew : Effect {
                                         "unsynchronised clocks",
                                         Scope::kWhole,
                                         kRobot | kOdometry,
-                                        kPrepare | kSensor,
+                                        kPrepare,
                                         1,
                                         {{"fraction", "1", 0.0, -0.05, 0.05, 0.003}}};
     template <class S, int N>
     static void prepare(Constants<S, N> &c, const Values<S> &p) {
         c.clock_fraction = p(0);
-    }
-    template <class S, int N>
-    static void sensor(SensorTerm<S, N> &c, const Values<S> &p) {
-        const S late_s = p(0) * c.time_s;
-        c.x_m = c.x_m - late_s * c.world_vx_m_s;
-        c.y_m = c.y_m - late_s * c.world_vy_m_s;
-        c.theta_rad = c.theta_rad - late_s * c.omega_rad_s;
     }
 };
 

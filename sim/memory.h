@@ -60,6 +60,7 @@ bool any_differs(const S *values, int n, double value) {
 
 template <class S, int N>
 void forget(Constants<S, N> &c) {
+    c.pose_delay_s = c.clock_fraction = S(0.0);
     for (int i = 0; i < N; ++i) {
         c.delay_s[i] = c.driver_lag_s[i] = c.inductance_h[i] = S(0.0);
         c.heating_1_a2_s[i] = c.bristle_length_m[i] = c.play_rad[i] = S(0.0);
@@ -226,6 +227,28 @@ class LoggedCommands {
     long row_;
     const double *rise_;
 };
+
+/* What a late camera does not show yet: the way (x, y, theta) that the body went in the last late_s
+ * before row `row`; nothing for a camera that is early. `way` [row][3] holds the way gone until
+ * each time, W numbers or lanes of them; in between the body moves evenly, before them it rests. */
+template <class S, class W>
+void way_since(const double *time_s, const W *way, long row, const S &late_s, S *since) {
+    for (int c = 0; c < 3; ++c) {
+        since[c] = from_lanes<S>([&](int k) {
+            const auto gone = [&](long at) { return lane(way[3 * at + c], k); };
+            const double shown_s = time_s[row] - lane(late_s, k);
+            long at = row;
+            while (at > 0 && time_s[at] > shown_s)
+                --at;
+            double shown = gone(at);
+            if (at < row && time_s[at] < shown_s) {
+                const double share = (shown_s - time_s[at]) / (time_s[at + 1] - time_s[at]);
+                shown += share * (gone(at + 1) - shown);
+            }
+            return gone(row) - shown;
+        });
+    }
+}
 
 }  // namespace OMNISLIP_INSTRUCTION_SET
 }  // namespace omnislip

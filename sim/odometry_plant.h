@@ -99,8 +99,6 @@ class OdometryPlant {
         SensorTerm<S, kMotors> term;
         term.x_m = x[0];
         term.y_m = x[1];
-        /* Delays act on the commands; here the sensor terms see a robot at rest. */
-        term.world_vx_m_s = term.world_vy_m_s = term.omega_rad_s = term.time_s = S(0.0);
         term.theta_rad = x[2];
         term.gyro_rad_s = S(0.0);
         for (int i = 0; i < kMostWheels; ++i)
@@ -129,8 +127,6 @@ class OdometryPlant {
   private:
     void read_encoder_rates() {
         sensor_.gyro_rad_s = sensor_.x_m = sensor_.y_m = sensor_.theta_rad = S(0.0);
-        sensor_.world_vx_m_s = sensor_.world_vy_m_s = sensor_.omega_rad_s = S(0.0);
-        sensor_.time_s = S(0.0);
         active_.apply(kSensor, [&](auto effect, const Values<S> &values) {
             decltype(effect)::sensor(sensor_, values);
         });

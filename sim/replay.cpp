@@ -8,6 +8,8 @@
 #include <stdexcept>
 #include <thread>
 
+#include "robot_plant.h"
+
 namespace omnislip {
 
 double change_into(const Recording &recording, int motors, int k, int motor) {
@@ -158,10 +160,12 @@ Track track(const Kernel &kernel, const Recording &recording, const double *valu
     Matrix transition = Matrix::Zero(all, all), slope = Matrix::Zero(m, all);
     Vector predicted(m), mistiming = Vector::Zero(m);
     const RowUpdate update(all, m);
+    std::vector<double> gone(kernel.shows_late(loaded.get()) ? 3 * rows : 0, 0.0);
     for (std::size_t k = 0; k < rows; ++k) {
         const double *measured = &recording.output[k * m];
-        kernel.linearise_output(loaded.get(), recording, static_cast<int>(k), x.data(),
-                                predicted.data(), shown.data());
+        kernel.linearise_output(loaded.get(), recording, static_cast<int>(k),
+                                gone.empty() ? nullptr : gone.data(), x.data(), predicted.data(),
+                                shown.data());
         slope.leftCols(n) = shown;
         if (keep_linear)
             std::copy(slope.data(), slope.data() + m * all, &result.slope[k * m * all]);
@@ -204,6 +208,10 @@ Track track(const Kernel &kernel, const Recording &recording, const double *valu
         transition.bottomRightCorner(q, q).diagonal().setConstant(decay);
         next.head(n) += push * estimate.tail(q);
         mistiming = shown * (next - x).head(n) * (std::sqrt(noise.timing_s2) / duration_s);
+        for (std::size_t c = 0; c < 3 && !gone.empty(); ++c) {
+            const long place = RobotLayout::kPose + static_cast<long>(c);
+            gone[3 * (k + 1) + c] = gone[3 * k + c] + (next[place] - x[place]);
+        }
         x = next;
         estimate.head(n) = x.head(n);
         estimate.tail(q) *= decay;

@@ -118,9 +118,14 @@ class Kernel {
     /* From row `row` to the next: next [states_and_memory], transition [states][states]. */
     virtual void linearise(const void *loaded, const Recording &recording, int row, double step_s,
                            const double *state, double *next, double *transition) const = 0;
-    /* In row `row`, state [states_and_memory]: output [outputs], slope [outputs][states]. */
+    /* Whether the camera shows the pose of another moment than the row's: then the way gone up to
+     * each row is wanted. */
+    virtual bool shows_late(const void *loaded) const = 0;
+    /* In row `row`, state [states_and_memory]: output [outputs], slope [outputs][states]. `gone`
+     * [row][3]: the way of a robot up to each row (memory.h), or null. */
     virtual void linearise_output(const void *loaded, const Recording &recording, int row,
-                                  const double *state, double *output, double *slope) const = 0;
+                                  const double *gone, const double *state, double *output,
+                                  double *slope) const = 0;
     /* Derivatives of the states of one set at many points: states [points][states], commands
      * [points][motors], derivative [points][states]; time 0, memory settled. */
     virtual void derivatives(const void *loaded, int points, const double *states,

@@ -103,11 +103,70 @@ class KernelOf final : public Kernel {
         return {plant, recording.time_s.data(), recording.command.data(), row, rise};
     }
 
+    static bool shows_late(const Plant &plant) {
+        if constexpr (Plant::kKind == kRobot)
+            return plant.shows_late();
+        return false;
+    }
+
+    /* What the body went since the moment that a late camera shows in row k, by the model: what the
+     * filter corrects is no way gone. */
+    class Way {
+      public:
+        Way(const Plant &plant, const Recording &recording)
+            : plant_(plant),
+              recording_(recording),
+              gone_(shows_late(plant) ? 3 * static_cast<std::size_t>(recording.rows) : 0, S(0.0)) {}
+
+        /* `move` takes x from row k to the next. */
+        template <class Move>
+        void follow(long k, const S *x, Move &&move) {
+            if constexpr (Plant::kKind == kRobot) {
+                if (!gone_.empty()) {
+                    S *gone = &gone_[3 * k];
+                    for (int c = 0; c < 3; ++c)
+                        gone[3 + c] = gone[c] - x[Plant::kPose + c];
+                    move();
+                    for (int c = 0; c < 3; ++c)
+                        gone[3 + c] = gone[3 + c] + x[Plant::kPose + c];
+                    return;
+                }
+            }
+            move();
+        }
+
+        /* [3]; null for a camera that shows the row's moment. */
+        const S *since(long k) {
+            if constexpr (Plant::kKind == kRobot) {
+                if (!gone_.empty()) {
+                    const double *time_s = recording_.time_s.data();
+                    way_since(time_s, gone_.data(), k, plant_.late_s(S(time_s[k])), since_);
+                    return since_;
+                }
+            }
+            return nullptr;
+        }
+
+        void go_as(const Way &other) {
+            gone_ = other.gone_;
+        }
+
+      private:
+        const Plant &plant_;
+        const Recording &recording_;
+        std::vector<S> gone_;
+        S since_[3];
+    };
+
     /* What the sensors show in row k with state and memory x [kAll]; currents flow under the
      * command that begins there. */
-    static void observe(const Plant &plant, const Recording &recording, long k, const S *x, S *y) {
+    static void observe(const Plant &plant, const Recording &recording, long k, const S *x,
+                        const S *way_since, S *y) {
         const double time_s = recording.time_s[k];
-        plant.output(x, S(time_s), y);
+        if constexpr (Plant::kKind == kRobot)
+            plant.output(x, S(time_s), y, way_since);
+        else
+            plant.output(x, S(time_s), y);
         if constexpr (kElectric > 0) {
             const Commands commands = logged(plant, recording, k);
             S command[kMotors], dx[kAll];
@@ -123,9 +182,9 @@ class KernelOf final : public Kernel {
 
     /* measured - predicted; 0 where nothing was measured. */
     static void innovate(const Plant &plant, const Recording &recording, long k, const S *x,
-                         S *innovation) {
+                         Way &way, S *innovation) {
         const double *measured = &recording.output[k * kOutputs];
-        observe(plant, recording, k, x, innovation);
+        observe(plant, recording, k, x, way.since(k), innovation);
         for (int j = 0; j < kOutputs; ++j) {
             const bool sampled = measured[j] == measured[j];
             innovation[j] = sampled ? S(measured[j]) - innovation[j] : S(0.0);
@@ -252,20 +311,36 @@ class KernelOf final : public Kernel {
         }
     }
 
+    bool shows_late(const void *loaded_set) const override {
+        return shows_late(static_cast<const Loaded *>(loaded_set)->plant);
+    }
+
     void linearise_output(const void *loaded_set, const Recording &recording, int row,
-                          const double *state, double *output, double *slope) const override {
+                          const double *gone, const double *state, double *output,
+                          double *slope) const override {
         const Loaded &loaded = *static_cast<const Loaded *>(loaded_set);
         const double probe = 1e-5;
         for (int first = 0; first < kStates; first += kLanes - 1) {
             S x[kAll], y[kOutputs];
             seed(state, first, probe, x);
             broadcast(state + kStates, x + kStates, kAll - kStates);
-            observe(loaded.plant, recording, row, x, y);
+            observe(loaded.plant, recording, row, x, nullptr, y);
             for (int i = 0; i < kOutputs; ++i) {
                 output[i] = lane(y[i], 0);
                 for (int j = first; j < kStates && j < first + kLanes - 1; ++j) {
                     slope[i * kStates + j] = (lane(y[i], j - first + 1) - output[i]) / probe;
                 }
+            }
+        }
+        if constexpr (Plant::kKind == kRobot) {
+            if (gone != nullptr) {
+                S x[kAll], y[kOutputs], since[3];
+                const double *time_s = recording.time_s.data();
+                broadcast(state, x, kAll);
+                way_since(time_s, gone, row, loaded.plant.late_s(S(time_s[row])), since);
+                observe(loaded.plant, recording, row, x, since, y);
+                for (int i = 0; i < kOutputs; ++i)
+                    output[i] = lane(y[i], 0);
             }
         }
     }
@@ -298,8 +373,9 @@ class KernelOf final : public Kernel {
         Internals in;
         broadcast(recording.initial_state.data(), x, kStates);
         settle_first(loaded, recording, x, in);
+        Way way(loaded.plant, recording);
         for (long k = 0; k < recording.rows; ++k) {
-            innovate(loaded.plant, recording, k, x, innovation);
+            innovate(loaded.plant, recording, k, x, way, innovation);
             correct(track, k, innovation, x, disturbance);
             const double *w = &track.whitening[k * kOutputs * kOutputs];
             for (int i = 0; i < kOutputs; ++i) {
@@ -311,8 +387,10 @@ class KernelOf final : public Kernel {
             scatter(white, count, plane, residuals + k * kOutputs);
             if (k + 1 == recording.rows)
                 break;
-            advance_row(loaded, recording, k, step_s, x, in);
-            disturb(track, k, x, disturbance);
+            way.follow(k, x, [&] {
+                advance_row(loaded, recording, k, step_s, x, in);
+                disturb(track, k, x, disturbance);
+            });
         }
     }
 
@@ -328,21 +406,25 @@ class KernelOf final : public Kernel {
         settle_first(loaded, recording, filtered, in);
         double restart_s = recording.time_s[0] + kSettleTime_s;
         std::copy_n(filtered, kAll, free);
+        Way filtered_way(loaded.plant, recording), free_way(loaded.plant, recording);
         for (long k = 0; k < recording.rows; ++k) {
             const double t = recording.time_s[k];
-            innovate(loaded.plant, recording, k, free, error);
+            innovate(loaded.plant, recording, k, free, free_way, error);
             scatter(error, count, plane, errors + k * kOutputs);
-            innovate(loaded.plant, recording, k, filtered, innovation);
+            innovate(loaded.plant, recording, k, filtered, filtered_way, innovation);
             correct(track, k, innovation, filtered, disturbance);
             if (t >= restart_s) {
                 std::copy_n(filtered, kAll, free);
+                free_way.go_as(filtered_way);
                 restart_s += window_s;
             }
             if (k + 1 == recording.rows)
                 break;
-            advance_row(loaded, recording, k, step_s, filtered, in);
-            disturb(track, k, filtered, disturbance);
-            advance_row(loaded, recording, k, step_s, free, in);
+            filtered_way.follow(k, filtered, [&] {
+                advance_row(loaded, recording, k, step_s, filtered, in);
+                disturb(track, k, filtered, disturbance);
+            });
+            free_way.follow(k, free, [&] { advance_row(loaded, recording, k, step_s, free, in); });
         }
     }
 

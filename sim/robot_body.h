@@ -127,7 +127,12 @@ class RobotBody {
     void refresh(double time_s) {
         motion_->look(x_, duties(), time_s, in_);
         looked_ = !lags_;
-        motion_->output(x_, time_s, sensed_);
+        if (motion_->shows_late() || pose_times_s_.empty()) {
+            pose_times_s_.push_back(time_s);
+            poses_.insert(poses_.end(), x_ + RobotLayout::kPose, x_ + RobotLayout::kPose + 3);
+        }
+        const long last = static_cast<long>(pose_times_s_.size()) - 1;
+        motion_->output(x_, time_s, {pose_times_s_.data(), poses_.data(), last}, sensed_);
     }
 
     const double *state() const {
@@ -184,6 +189,7 @@ class RobotBody {
 
     std::vector<double> values_, times_s_;
     std::vector<std::array<double, 4>> duties_;
+    std::vector<double> pose_times_s_, poses_; /* kept for a late camera */
     std::vector<Impulse> pending_;
     const BoardSensors &sensors_;
     double supply_error_v_ = 0.0;

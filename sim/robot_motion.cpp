@@ -28,6 +28,9 @@ class Motion final : public RobotMotion {
     bool delays() const override {
         return plant_.delays();
     }
+    bool shows_late() const override {
+        return plant_.shows_late();
+    }
 
     void settle(double *x, const double *duty, Internals &in) const override {
         omnislip::settle(plant_, x, duty, 0.0, in);
@@ -40,8 +43,11 @@ class Motion final : public RobotMotion {
         plant_.derivative(x, begin_.step, time_s, begin_.derivative, in);
     }
 
-    void output(const double *x, double time_s, double *y) const override {
-        plant_.output(x, time_s, y);
+    void output(const double *x, double time_s, const WayHistory &way, double *y) const override {
+        double since[3];
+        if (plant_.shows_late())
+            way_since(way.time_s, way.way, way.row, plant_.late_s(time_s), since);
+        plant_.output(x, time_s, y, since);
     }
 
     void advance(double *x, const DutyHistory &duties, double time_s, double duration_s,

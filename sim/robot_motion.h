@@ -21,6 +21,12 @@ struct DutyHistory {
     long row;
 };
 
+/* The way that the body went up to each time, the present one at `row`: x, y, theta each. */
+struct WayHistory {
+    const double *time_s, *way;
+    long row;
+};
+
 enum class Rule { kRk4, kMerson }; /* integrator.h */
 
 class RobotMotion {
@@ -29,13 +35,15 @@ class RobotMotion {
     /* Whether the memory behind the states is in use, and whether commands act late. */
     virtual bool remembers() const = 0;
     virtual bool delays() const = 0;
+    /* Whether the camera shows the pose of another moment. */
+    virtual bool shows_late() const = 0;
     /* Fills the memory as if the duty had lasted for long. */
     virtual void settle(double *x, const double *duty, RobotInternals<double> &in) const = 0;
     /* Internals at an instant. */
     virtual void look(const double *x, const DutyHistory &duties, double time_s,
                       RobotInternals<double> &in) = 0;
-    /* What the sensors show, y [RobotLayout::kOutputs]. */
-    virtual void output(const double *x, double time_s, double *y) const = 0;
+    /* What the sensors show, y [RobotLayout::kOutputs]; the way is read by a late camera only. */
+    virtual void output(const double *x, double time_s, const WayHistory &way, double *y) const = 0;
     /* Runs x on in steps of at most step_s. `looked`: `look` was at this instant, and not yet used
      * so; not with memory or delays. */
     virtual void advance(double *x, const DutyHistory &duties, double time_s, double duration_s,

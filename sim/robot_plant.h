@@ -189,17 +189,19 @@ class RobotPlant : public RobotLayout {
         dx[kPose + 2] = omega;
     }
 
-    /* What the sensors show in state x: encoder angles [rad], gyro [rad/s], camera pose. */
-    void output(const S *x, const S &time_s, S *y) const {
+    /* What the sensors show in state x: encoder angles [rad], gyro [rad/s], camera pose.
+     * `way_since`: what the body went since the moment that a late camera shows (memory.h), x, y,
+     * theta; null: as far as at its present velocity. */
+    void output(const S *x, const S &time_s, S *y, const S *way_since = nullptr) const {
         for (int i = 0; i < 4; ++i)
             y[i] = x[kAngle + i];
-        if (!active_.use(kSensor)) {
+        if (!active_.use(kSensor) && !shows_late_) {
             y[4] = x[kVelocity + 2];
             for (int i = 0; i < 3; ++i)
                 y[5 + i] = x[kPose + i];
             return;
         }
-        const SensorTerm<S, 4> term = sensors(x, time_s);
+        const SensorTerm<S, 4> term = sensors(x, time_s, way_since);
         y[4] = term.gyro_rad_s;
         y[5] = term.x_m;
         y[6] = term.y_m;
@@ -238,6 +240,13 @@ class RobotPlant : public RobotLayout {
     }
     bool delays() const {
         return delays_;
+    }
+    /* Whether the camera shows the pose of another moment than the row's, and how late. */
+    bool shows_late() const {
+        return shows_late_;
+    }
+    S late_s(const S &time_s) const {
+        return c_.pose_delay_s + c_.clock_fraction * time_s;
     }
 
   private:
@@ -316,6 +325,8 @@ class RobotPlant : public RobotLayout {
                              c_.shaft_inertia_kg_m2[i] * c_.gear_ratio * c_.gear_ratio);
         }
         delays_ = any_differs(c_.delay_s, 4, 0.0);
+        shows_late_ =
+            any_lane_differs(c_.pose_delay_s, 0.0) || any_lane_differs(c_.clock_fraction, 0.0);
         inductive_ = any_differs(c_.inductance_h, 4, 0.0);
         bristles_ = any_differs(c_.bristle_length_m, 4, 0.0);
         soft_ = any_differs(c_.play_rad, 4, 0.0) || any_differs(c_.stiffness_nm_rad, 4, kUnbounded);
@@ -819,21 +830,17 @@ class RobotPlant : public RobotLayout {
             load_n[i] = max(load_n[i] + moved_n * S(free_load[i]), S(0.0));
     }
 
-    SensorTerm<S, 4> sensors(const S *x, const S &time_s) const {
+    SensorTerm<S, 4> sensors(const S *x, const S &time_s, const S *way_since = nullptr) const {
         SensorTerm<S, 4> term;
-        S cos_theta, sin_theta;
-        sine_cosine(x[kPose + 2], sin_theta, cos_theta);
         term.gyro_rad_s = x[kVelocity + 2];
         term.x_m = x[kPose];
         term.y_m = x[kPose + 1];
         term.theta_rad = x[kPose + 2];
-        term.world_vx_m_s = cos_theta * x[kVelocity] - sin_theta * x[kVelocity + 1];
-        term.world_vy_m_s = sin_theta * x[kVelocity] + cos_theta * x[kVelocity + 1];
-        term.omega_rad_s = x[kVelocity + 2];
-        term.time_s = time_s;
         term.speed_rad_s = x + kSpeed;
         for (int i = 0; i < 4; ++i)
             term.encoder_rate[i] = S(1.0);
+        if (shows_late_)
+            turn_back(x, time_s, way_since, term);
         active_.apply(kSensor, [&](auto effect, const Values<S> &values) {
             decltype(effect)::sensor(term, values);
         });
@@ -843,6 +850,23 @@ class RobotPlant : public RobotLayout {
         user_.add(UserTarget::kPoseY, inputs, 1, &term.y_m);
         user_.add(UserTarget::kPoseTheta, inputs, 1, &term.theta_rad);
         return term;
+    }
+
+    /* The pose to that of the moment which the camera shows. */
+    void turn_back(const S *x, const S &time_s, const S *way_since, SensorTerm<S, 4> &term) const {
+        const S late = late_s(time_s);
+        S cos_theta, sin_theta;
+        sine_cosine(x[kPose + 2], sin_theta, cos_theta);
+        S way[3] = {late * (cos_theta * x[kVelocity] - sin_theta * x[kVelocity + 1]),
+                    late * (sin_theta * x[kVelocity] + cos_theta * x[kVelocity + 1]),
+                    late * x[kVelocity + 2]};
+        if (way_since != nullptr) {
+            for (int c = 0; c < 3; ++c)
+                way[c] = select(late > S(0.0), way_since[c], way[c]);
+        }
+        term.x_m = term.x_m - way[0];
+        term.y_m = term.y_m - way[1];
+        term.theta_rad = term.theta_rad - way[2];
     }
 
     void scale_encoders(const S *x, const S &time_s, S *dx) const {
@@ -860,7 +884,7 @@ class RobotPlant : public RobotLayout {
     S per_mass_, per_inertia_, per_gear_ratio_, per_shaft_inertia_[4], conductance_s_;
     SoftGear<S> gear_[4];
     bool delays_ = false, remembers_ = false, inductive_ = false, heats_ = false;
-    bool bristles_ = false, soft_ = false;
+    bool bristles_ = false, soft_ = false, shows_late_ = false;
 };
 
 }  // namespace OMNISLIP_INSTRUCTION_SET

@@ -639,7 +639,37 @@ static void sensors_show_the_state(void) {
     assert_shown(RobotModel().effect("gyro_scale", "scale", 1.02), {1.53, 0.3, -0.6, 0.8});
 }
 
-/* The state of a moment ago, to first order in the delay. */
+static void late_camera_turns_back_the_way_since(void) {
+    const Robot late(RobotModel().effect("pose_latency", "delay_s", 0.02));
+    const Robot early(RobotModel().effect("pose_latency", "delay_s", -0.02));
+    const double since[3] = {0.03, -0.05, 0.07};
+    double y[Layout::kOutputs];
+    late.plant.output(kMoving.data(), 2.5, y, since);
+    TEST_ASSERT_DOUBLE_WITHIN(1e-14, 0.3 - 0.03, y[5]);
+    TEST_ASSERT_DOUBLE_WITHIN(1e-14, -0.6 + 0.05, y[6]);
+    TEST_ASSERT_DOUBLE_WITHIN(1e-14, 0.8 - 0.07, y[7]);
+    early.plant.output(kMoving.data(), 2.5, y, since);
+    TEST_ASSERT_DOUBLE_WITHIN(1e-14, 0.3 + 0.02 * kWorldX_m_s, y[5]);
+}
+
+static void way_since_a_moment_is_even_between_rows_and_nothing_before_them(void) {
+    const double time_s[4] = {1.0, 1.1, 1.3, 1.4};
+    const double way[12] = {0.0, 0.0, 0.0, 1.0, -2.0, 3.0, 2.0, -3.0, 3.5, 4.0, -4.0, 3.75};
+    const double late_s[5] = {0.0, 0.1, 0.15, 0.2, 9.0};
+    const double expected[5][3] = {{0.0, 0.0, 0.0},
+                                   {2.0, -1.0, 0.25},
+                                   {2.25, -1.25, 0.375},
+                                   {2.5, -1.5, 0.5},
+                                   {4.0, -4.0, 3.75}};
+    for (int j = 0; j < 5; ++j) {
+        double since[3];
+        way_since(time_s, way, 3, late_s[j], since);
+        for (int c = 0; c < 3; ++c)
+            TEST_ASSERT_DOUBLE_WITHIN(1e-12, expected[j][c], since[c]);
+    }
+}
+
+/* Where the way is not known: to first order in the delay. */
 static void late_camera_shows_where_the_robot_was(void) {
     const double late = 0.02, skewed = 0.004 * 2.5;
     assert_shown(RobotModel().effect("pose_latency", "delay_s", late),
@@ -733,6 +763,8 @@ int main(void) {
     RUN_TEST(payload_adds_mass_and_load_but_no_inertia);
     RUN_TEST(inertia_error_adds_inertia);
     RUN_TEST(sensors_show_the_state);
+    RUN_TEST(late_camera_turns_back_the_way_since);
+    RUN_TEST(way_since_a_moment_is_even_between_rows_and_nothing_before_them);
     RUN_TEST(late_camera_shows_where_the_robot_was);
     RUN_TEST(turned_camera_turns_the_position_and_not_the_heading);
     RUN_TEST(turned_camera_with_a_skewed_clock_turns_the_late_pose);

@@ -80,15 +80,30 @@ static Track free_running(const Kernel &kernel, const Recording &r) {
     return t;
 }
 
+/* What sensors show in row k; the camera, where it is late, a pose of `poses`, where this one goes.
+ */
+static void show(const RobotPlant<double> &plant, const Recording &r, std::size_t k,
+                 const double *x, std::vector<double> &poses, double *y) {
+    double since[3];
+    poses.insert(poses.end(), x + RobotLayout::kPose, x + RobotLayout::kPose + 3);
+    way_since(r.time_s.data(), poses.data(), static_cast<long>(k), plant.late_s(r.time_s[k]),
+              since);
+    plant.output(x, r.time_s[k], y, since);
+}
+static void show(const AxisPlant<double> &plant, const Recording &r, std::size_t k, const double *x,
+                 std::vector<double> &, double *y) {
+    plant.output(x, r.time_s[k], y);
+}
+
 template <class AnyBench, class Plant>
 static std::vector<double> outputs_of(const Model<Plant> &model, const Recording &r) {
     AnyBench bench(model);
-    std::vector<double> outputs;
+    std::vector<double> outputs, poses;
     std::copy(r.initial_state.begin(), r.initial_state.end(), bench.x.begin());
     bench.time_s = r.time_s[0];
     for (std::size_t k = 0; k < r.time_s.size(); ++k) {
         double y[Plant::kOutputs];
-        bench.plant.output(bench.x.data(), r.time_s[k], y);
+        show(bench.plant, r, k, bench.x.data(), poses, y);
         outputs.insert(outputs.end(), y, y + Plant::kOutputs);
         if (k + 1 < r.time_s.size()) {
             typename AnyBench::Command command;
@@ -171,14 +186,15 @@ static std::vector<double> outputs_of_motion(const RobotModel &model, const Reco
                                              int widest_lanes) {
     const auto motion =
         make_robot_motion(model.flat.data(), static_cast<int>(model.flat.size()), {}, widest_lanes);
-    std::vector<double> outputs;
+    std::vector<double> outputs, poses;
     double x[RobotLayout::kAll] = {};
     RobotInternals<double> in = {};
     std::copy(r.initial_state.begin(), r.initial_state.end(), x);
     motion->settle(x, r.command.data(), in);
     for (std::size_t k = 0; k < r.time_s.size(); ++k) {
         double y[RobotLayout::kOutputs];
-        motion->output(x, r.time_s[k], y);
+        poses.insert(poses.end(), x + RobotLayout::kPose, x + RobotLayout::kPose + 3);
+        motion->output(x, r.time_s[k], {r.time_s.data(), poses.data(), static_cast<long>(k)}, y);
         outputs.insert(outputs.end(), y, y + RobotLayout::kOutputs);
         if (k + 1 < r.time_s.size()) {
             const DutyHistory duties = {r.time_s.data(), r.command.data(), static_cast<long>(k)};

@@ -16,7 +16,10 @@ TYPICAL = {
     "bristle_relaxation": ("length_m", 1e-3),
     "gear_backlash": ("angle_rad", 0.01),
     "shaft_compliance": ("stiffness_nm_rad", 100.0),
+    "pose_latency": ("delay_s", 0.0637),
+    "clock_skew": ("fraction", 0.03),
 }
+CAMERA = ("pose_latency", "clock_skew")
 ROW_S = 0.005
 NOISE = {
     "process": np.full(14, 1e-2),
@@ -83,6 +86,21 @@ def test_delay_of_whole_rows_shifts_the_outputs(rows, seed):
     np.testing.assert_allclose(shifted[rows:], plain[: len(time) - rows], rtol=0, atol=1e-8)
 
 
+@given(rows=st.integers(1, 20), part=st.floats(0.0, 1.0), seed=st.integers(0, 99))
+@settings(max_examples=20, deadline=None)
+def test_late_camera_shows_the_pose_of_that_moment(rows, part, seed):
+    """Also while the motion changes; before the log begins the robot rests."""
+    time = np.arange(60) * ROW_S
+    delays = [(rows - part) * ROW_S, rows * ROW_S, 0.0]
+    sets = [parameter_set(effects=[("pose_latency", "delay_s", delay)]) for delay in delays]
+    between, late, plain = simulate(sets, time, swaying_duty(len(time), seed))
+    np.testing.assert_allclose(late[rows:, 5:], plain[:-rows, 5:], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(late[:rows, 5:], 0.0, atol=1e-12)
+    mixed = (1.0 - part) * late[rows:, 5:] + part * plain[1 : len(time) - rows + 1, 5:]
+    np.testing.assert_allclose(between[rows:, 5:], mixed, rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(late[:, :5], plain[:, :5])
+
+
 def test_memory_does_not_leak_into_other_lanes(run):
     time, duty = run
     sets = [model(name) for name in (*TYPICAL, None)]
@@ -121,4 +139,6 @@ def test_closed_loop_is_the_replay_of_its_duties(name):
     """In steps so fine that it does not matter that each has its own rule."""
     run = closed_loop(name, step_s=1e-4)
     replayed = simulate([model(name)], run["t_s"], run["duty"], step_s=1e-4)[0]
-    np.testing.assert_allclose(replayed[:, 5:], run["pose"], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(replayed[:, 5:], run["camera_pose"], rtol=0, atol=1e-9)
+    late = np.abs(run["camera_pose"] - run["pose"]).max()
+    assert late > 1e-3 if name in CAMERA else late == 0.0

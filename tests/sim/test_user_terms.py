@@ -83,12 +83,11 @@ TWINS = {
         {"rate_rad_s": 0.02},
         {"own": ("gyro_rad_s", "a", {"a": 0.0})},
     ),
-    "pose_latency": (
-        {"delay_s": 0.02},
+    "pose_rotation": (
+        {"angle_rad": 0.02},
         {
-            "own": ("pose_x_m", "-a * (cos(theta) * vx - sin(theta) * vy)", {"a": 0.0}),
-            "own_y": ("pose_y_m", "-a * (sin(theta) * vx + cos(theta) * vy)", {"a": 0.0}),
-            "own_turn": ("pose_theta_rad", "-a * w", {"a": 0.0}),
+            "own": ("pose_x_m", "cos(a) * x - sin(a) * y - x", {"a": 0.0}),
+            "own_y": ("pose_y_m", "sin(a) * x + cos(a) * y - y", {"a": 0.0}),
         },
     ),
 }
