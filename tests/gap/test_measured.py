@@ -103,6 +103,13 @@ ALWAYS = {
     "optiodom_omni3": set(),
 }
 NEVER = {"bam_xl330": {"stribeck_friction"}}
+CLOSED = {"emps": 0.95, "bam_xl330": 0.9, "optiodom_omni4": 0.3, "optiodom_omni3": 0.8}
+"""Share of the gap on held-out runs that the names close at least."""
+
+
+def test_the_names_close_the_gap_on_held_out_runs(case):
+    name, _, _, everything = case
+    assert everything["gap"]["closed_fraction"]["value"] > CLOSED[name]
 
 
 @pytest.mark.parametrize("less", [every_second, half_the_rate])

@@ -445,10 +445,15 @@ def browse(page: Path, profile: Path) -> subprocess.CompletedProcess[str]:
 @pytest.mark.parametrize("verdict", ["effect_found", "unknown_effect"])
 def test_wiring_and_impacts_are_shown_before_the_effects(found, verdict):
     """Where something is unknown, impacts and effects are only the nearest."""
-    push = Impact("run_02", 1.25, np.array([1.5, -2.5, 0.1]), np.array([0.1, 0.1, 0.01]))
+    pushes = [
+        Impact(run, 1.25, np.array([1.5, -2.5, 0.1]), np.array([0.1, 0.1, 0.01]))
+        for run in ("run_02", "run_05")
+    ]
     wiring = [Effect("encoder_sign", {}, 2)]
-    mended = replace(found, verdict=verdict, wiring=wiring, impacts=[push])
+    mended = replace(found, verdict=verdict, wiring=wiring, impacts=pushes)
     page = render(mended, "omnislip")
     first = found.outcome.selected[0].candidate.name
-    places = [page.index(f"<h3>{name}") for name in ("encoder_sign", "impact (run_02)", first)]
+    places = [page.index(f"<h3>{name}") for name in ("encoder_sign", "impact", first)]
     assert places == sorted(places)
+    rows = [page.index(f"<tr><td>{push.run}</td>") for push in pushes]
+    assert places[1] < rows[0] < rows[1] < places[2]

@@ -78,6 +78,7 @@ def render(findings: Findings, command_line: str) -> str:
             name=findings.machine.model.name or findings.machine.kind,
             added_text=_added_text(findings),
             effects=_effects(findings, numbers),
+            impact_columns=IMPACT_COLUMNS,
             curve=report_pictures.curve_picture(findings.unknown) if findings.unknown else None,
             gap=_gap(findings, numbers),
             ladder=_ladder(findings),
@@ -117,15 +118,15 @@ def _added_text(findings: Findings) -> str:
     return "\n\n".join(tables[len(findings.machine.model.effects) :])
 
 
-IMPACT_UNITS = {
-    "time_s": "s",
-    "impulse_x_n_s": "N s",
-    "impulse_y_n_s": "N s",
-    "impulse_theta_n_m_s": "N m s",
+IMPACT_COLUMNS = {
+    "time_s": "time, s",
+    "impulse_x_n_s": "along x, N s",
+    "impulse_y_n_s": "along y, N s",
+    "impulse_theta_n_m_s": "turning, N m s",
 }
 GATE_TEXTS = {
     "impact": {
-        "summary": "Something pushed the robot in this run; the log is cut there.",
+        "summary": "Something pushed the robot; the logs are cut there.",
         "equation": "jump of the body's momentum, world frame",
     },
     "wheel_permutation": {
@@ -146,41 +147,33 @@ GATE_TEXTS = {
 def _effects(findings: Findings, numbers: Json) -> list[Json]:
     """One entry per effect of the amended model: its catalogue text, sizes and rivals.
 
+    All pushes are one entry.
     Where the verdict is unknown these are the nearest known effects.
     """
     if not findings.outcome:
         return []
     machine, pushes = findings.machine, len(findings.impacts)
+    nothing = {"sizes": [], "pushes": [], "rivals": [], "stability": None, "manoeuvre": None}
     terms = numbers["effects"][len(findings.wiring) :] or numbers["nearest"]
     gates = [
-        {
+        nothing
+        | {
             "name": effect.name
             if effect.wheel is None
             else f"{effect.name} (wheel {effect.wheel})",
             "entry": GATE_TEXTS[effect.name],
-            "sizes": [],
-            "rivals": [],
-            "stability": None,
-            "manoeuvre": None,
         }
         for effect in findings.wiring
     ]
-    gates += [
-        {
-            "name": f"impact ({impact.run})",
-            "entry": GATE_TEXTS["impact"],
-            "sizes": [
-                {"name": name, "unit": IMPACT_UNITS[name], **size}
-                for name, size in found["parameters"].items()
-            ],
-            "rivals": [],
-            "stability": None,
-            "manoeuvre": None,
-        }
-        for impact, found in zip(findings.impacts, terms[:pushes], strict=True)
-    ]
+    if pushes:
+        rows = [
+            {"run": impact.run, **found["parameters"]}
+            for impact, found in zip(findings.impacts, terms[:pushes], strict=True)
+        ]
+        gates.append(nothing | {"name": "impact", "entry": GATE_TEXTS["impact"], "pushes": rows})
     return gates + [
-        {
+        nothing
+        | {
             "name": selected.candidate.name,
             "entry": machine.catalogue[selected.candidate.effect],
             "sizes": [

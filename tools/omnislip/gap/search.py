@@ -74,9 +74,9 @@ AHEAD_GAIN = 50.0
 is worth looking one step ahead, and none is needless: another one that is missing blurs it."""
 BEAM, BEAM_REFITS = 3, 6
 RESAMPLES, LEAST_RUNS_TO_RESAMPLE = 1000, 4
-MOST_TUNINGS, SETTLED, NEARLY_SETTLED = 6, 1.0, 100.0
-"""Times that noise and model are fitted in turn; change of Q by what the fit moved that ends it,
-and what leaves pushes as they are, spread over a whole log."""
+MOST_TUNINGS, SETTLED = 6, 1.0
+"""Times that noise and model are fitted in turn, and change of Q by what the fit moved that ends
+it."""
 PATCH_SCALES, PATCH_SHARE = (0.3, 0.5, 0.7, 0.9), 0.2
 """Grips of a patch to try; share of the best promise from which its edges are looked for: those of
 the screen are coarse, but explain more than a fifth of what the right ones do."""
@@ -226,7 +226,7 @@ def first_model(machine: Machine, runs: Sequence[Run]) -> tuple[Noise, Hypothesi
     curve = [c for c in machine.candidates() if c.effect == CURVE]
     for candidate in curve:
         start = start.with_effect(candidate, [0.1])
-    data, fitted = settle(machine, runs, start, settled=NEARLY_SETTLED)
+    data, fitted = settle(machine, runs, start)
     return data.noise, fitted.hypothesis
 
 
@@ -235,7 +235,6 @@ def settle(
     runs: Sequence[Run],
     start: Hypothesis,
     noise: Noise | None = None,
-    settled: float = SETTLED,
 ) -> tuple[Data, Fit]:
     """Tune the noise at `start` and fit, until predictor and model agree.
 
@@ -250,7 +249,7 @@ def settle(
         fitted = fit(data, hypothesis)
         moved = (fitted.hypothesis.x - hypothesis.x) / scale
         hypothesis = fitted.hypothesis
-        if moved @ fitted.information @ moved < settled:
+        if moved @ fitted.information @ moved < SETTLED:
             break
     return data, fitted
 
