@@ -119,7 +119,6 @@ def _added_text(findings: Findings) -> str:
 
 
 IMPACT_COLUMNS = {
-    "time_s": "time, s",
     "impulse_x_n_s": "along x, N s",
     "impulse_y_n_s": "along y, N s",
     "impulse_theta_n_m_s": "turning, N m s",
