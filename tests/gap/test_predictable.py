@@ -1,7 +1,7 @@
 """Chance cannot be predicted; a force that no term was made for can."""
 
 import pytest
-from omnislip.gap.find import PREDICTED_SHARE
+from omnislip.gap.find import LASTING_SHARE, PREDICTED_SHARE
 from omnislip.gap.machine import Machine
 from omnislip.gap.predictable import EQUATIONS, predictable_shares
 from omnislip.gap.search import believed_hypothesis, settle
@@ -32,6 +32,7 @@ def test_chance_cannot_be_predicted():
     found = shares_of()
     assert {one.equation for one in found} == set(EQUATIONS)
     assert found[0].share < 0.05
+    assert max(one.share for one in found if one.from_own_past) < LASTING_SHARE / 4
 
 
 def test_chance_that_a_controller_answers_cannot_be_predicted():
@@ -50,9 +51,18 @@ def test_filtered_speeds_that_hardly_vary_do_not_predict_the_chance_they_hold():
 def test_a_force_of_no_catalogue_is_predicted_where_it_acts(closed_loop):
     """8 N s2/m2 at right angles to the velocity act on the body, not on the wheels."""
     force = {"name": "lateral_speed_force", "parameters": {"coefficient_n_s2_m2": 8.0}}
-    found = shares_of((force,), closed_loop=closed_loop)
+    found = [one for one in shares_of((force,), closed_loop=closed_loop) if not one.from_own_past]
     assert found[0].equation.startswith("body/")
     assert found[0].share > PREDICTED_SHARE
+    assert found[0].runs_helped > found[0].runs / 2
+
+
+def test_what_lasts_is_no_chance_whatever_it_goes_with():
+    """Bumps of a floor on which no place is met twice."""
+    bumps = {"name": "bump_map", "parameters": {"force_n": 12.0, "width_m": 0.14}}
+    found = [one for one in shares_of((bumps,)) if one.from_own_past]
+    assert found[0].equation.startswith("body/")
+    assert found[0].share > 4 * LASTING_SHARE
     assert found[0].runs_helped > found[0].runs / 2
 
 

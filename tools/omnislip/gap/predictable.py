@@ -12,7 +12,11 @@ It is zero or below where only chance is left. What holds chance must not predic
 place are the filter's, corrected by the same measurements as the disturbances, and gave 15 % away
 where a robot drove to and fro and they hardly varied. What was corrected in the last `CHANCE_S`,
 longer than chance lasts, is therefore taken out of them: they are what the model made of the state
-of then. In a closed loop commands answer chance too, and all is taken from then. No term has to
+of then. In a closed loop commands answer chance too, and all is taken from then.
+
+Nor does chance last. What bumps of the floor, sticky places or a ripple of the supply add need not
+go with any of these, but it goes on for a tenth of a second and more, where chance has faded to a
+hundredth. So the disturbances' own past is asked too, linearly. No term has to
 be guessed beforehand, so this finds hysteresis, products and thresholds too; it does not say what
 they are (unknown.py tries to). Beside effects that explain nearly everything a small rest may well
 be predictable, for no shape is exact: then the share is one of `REST` of the disturbances without
@@ -48,6 +52,7 @@ FOLDS = 4
 LEAST_RUNS = 3
 CHANCE_S = 0.03
 """Disturbances fade at 40 per second or faster (noise.py)."""
+OWN_PAST_S = (0.06, 0.09, 0.13, 0.18)
 REST = 0.2
 PAST_S = (0.005, 0.01, 0.02, 0.05)
 TREES = {"max_iter": 50, "learning_rate": 0.1, "max_leaf_nodes": 8, "min_samples_leaf": 40}
@@ -55,10 +60,11 @@ TREES = {"max_iter": 50, "learning_rate": 0.1, "max_leaf_nodes": 8, "min_samples
 
 @dataclass(frozen=True)
 class Predictable:
-    """Share of the disturbances of one equation that other runs predict; in how many of the runs
-    the prediction is nearer than none."""
+    """Share of the disturbances of one equation that is predicted, from their own past or from what
+    the robot did, as learned on other runs; in how many of the runs that is nearer than nothing."""
 
     equation: str
+    from_own_past: bool
     share: float
     runs_helped: int
     runs: int
@@ -67,7 +73,7 @@ class Predictable:
 def predictable_shares(
     machine: Machine, runs: Sequence[Run], noise: Noise, values: Array, without: Array
 ) -> list[Predictable]:
-    """Return the share of each equation, largest first; nothing for fewer than three logs.
+    """Return both shares of each equation, largest first; nothing for fewer than three logs.
 
     `values` are those of the final model, `without` of the refitted one without effects. Only
     robots have disturbances. `runs` may be pieces; pieces of a log are learned together.
@@ -75,7 +81,7 @@ def predictable_shares(
     names = list(dict.fromkeys(run.name for run in runs))
     if machine.kind != "robot" or len(names) < LEAST_RUNS:
         return []
-    features, targets, there, owners = [], [], [], []
+    features, pasts, targets, there, owners = [], [], [], [], []
     gear = float(machine.model.values["motor.gear_ratio"])
     tracks = track_all(machine, runs, values, noise, keep_linear=True)
     answers = news_of(machine, runs, tracks).answers
@@ -85,26 +91,43 @@ def predictable_shares(
         rows = _sparse_rows(run)
         seen = np.searchsorted(run.t_s, run.t_s[rows] - CHANCE_S) if answers else rows
         features.append(_features(run, state if answers else _foreseen(run, track), gear)[seen])
+        pasts.append(_own_past(run, state[:, DISTURBANCES], rows))
         targets.append(state[rows][:, DISTURBANCES])
         there.append(unexplained[rows][:, DISTURBANCES])
         owners.append(np.full(len(rows), names.index(run.name)))
-    x, y, owner = np.concatenate(features), np.concatenate(targets), np.concatenate(owners)
+    x, past, y, owner = (np.concatenate(each) for each in (features, pasts, targets, owners))
     least = REST * np.sum(np.concatenate(there) ** 2, axis=0)
     folds = [range(first, len(names), FOLDS) for first in range(min(FOLDS, len(names)))]
     found = []
     for index, equation in enumerate(EQUATIONS):
-        left, whole = np.zeros(len(names)), np.zeros(len(names))
-        for fold in folds:
-            unseen = np.isin(owner, list(fold))
-            error = y[unseen, index] - _predicted(x[~unseen], y[~unseen, index], x[unseen])
-            left += np.bincount(owner[unseen], error**2, minlength=len(names))
-            whole += np.bincount(owner[unseen], y[unseen, index] ** 2, minlength=len(names))
-        share = float((whole.sum() - left.sum()) / max(whole.sum(), least[index], 1e-300))
-        found.append(Predictable(equation, share, int(np.sum(left < whole)), len(names)))
+        for known, predicted in ((x, _by_trees), (past[:, index], _by_line)):
+            left, whole = np.zeros(len(names)), np.zeros(len(names))
+            for fold in folds:
+                unseen = np.isin(owner, list(fold))
+                error = y[unseen, index] - predicted(
+                    known[~unseen], y[~unseen, index], known[unseen]
+                )
+                left += np.bincount(owner[unseen], error**2, minlength=len(names))
+                whole += np.bincount(owner[unseen], y[unseen, index] ** 2, minlength=len(names))
+            share = float((whole.sum() - left.sum()) / max(whole.sum(), least[index], 1e-300))
+            helped = int(np.sum(left < whole))
+            found.append(Predictable(equation, predicted is _by_line, share, helped, len(names)))
     return sorted(found, key=lambda one: -one.share)
 
 
-def _predicted(x: Array, y: Array, unseen: Array) -> Array:
+def _own_past(run: Run, disturbances: Array, rows: npt.NDArray[np.int64]) -> Array:
+    """Disturbances (rows, equations, lags) before `rows`; zero where the filter had not settled."""
+    then_s = run.t_s[rows][:, None] - np.array(OWN_PAST_S)
+    known = then_s >= run.t_s[0] + _core.SETTLE_S
+    past = [np.interp(then_s, run.t_s, column) * known for column in disturbances.T]
+    return np.stack(past, axis=1)
+
+
+def _by_line(x: Array, y: Array, unseen: Array) -> Array:
+    return unseen @ np.linalg.lstsq(x, y, rcond=None)[0]
+
+
+def _by_trees(x: Array, y: Array, unseen: Array) -> Array:
     """Return what trees that learned `y` (rows,) from `x` (rows, features) say of other rows.
 
     On one core: where another program has the second, threads that wait for each other at every
