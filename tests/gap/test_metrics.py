@@ -1,5 +1,7 @@
 """Replay errors, noise floor and closed fraction, against closed forms."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from axis_bench import Bench, make_log, make_machine, make_runs, model_text, silent, true_noise
@@ -173,6 +175,70 @@ def test_different_commands_are_no_repetition():
     moved = made_up_run("other", command=np.cos(7 * one.run.t_s)[:, None])
     table = gap_table([one, Replays(moved, other.errors, other.floor_variance, other.counted)])
     assert table.floor_source == "the predictor's noise"
+
+
+def piece(name, errors, begin, end, command):
+    """Rows begin..end of a run: replays from there, with `errors` (rows, channels) of any model."""
+    whole = made_up_run(name, len(errors), command=command)
+    run = replace(
+        whole,
+        t_s=whole.t_s[begin:end],
+        command=command[begin:end],
+        outputs=whole.outputs[begin:end],
+    )
+    counted = run.t_s >= run.t_s[0] + 0.25
+    return Replays(run, np.stack([errors[begin:end]] * 3), np.ones((end - begin, 2)), counted)
+
+
+HELD = np.tile([0.3, 0.1, -0.3, -0.1], (600, 1))
+SINE = np.sin(7 * ROW_S * np.arange(600))[:, None]
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "what"),
+    [
+        ((0, 495, HELD), (500, 600, HELD), "pieces of one log, of other times"),
+        ((0, 600, SINE), (0, 600, 0.5 * SINE), "another size of the command"),
+        ((0, 600, SINE), (50, 600, SINE), "replays that restart at other times"),
+        ((0, 400, SINE), (300, 480, SINE), "little in common"),
+    ],
+)
+def test_what_is_no_repetition(one, other, what):
+    noise = np.random.default_rng(3).normal(0.0, 10.0, (2, 600, 2))
+    table = gap_table([piece("one", noise[0], *one), piece("other", noise[1], *other)])
+    assert table.floor_source == "the predictor's noise", what
+    np.testing.assert_allclose(table.floor, 1.0)
+
+
+def test_repetitions_are_compared_over_the_times_that_both_have():
+    """The second begins a second later; what the first did before it, and errors alone, differ."""
+    noise = np.random.default_rng(4).normal(0.0, 0.3, (2, 600, 2))
+    noise[0, :125] += 50.0
+    one, other = (
+        piece(name, errors, begin, 600, SINE)
+        for name, errors, begin in (("one", noise[0], 0), ("other", noise[1], 100))
+    )
+    for order in ([one, other], [other, one]):
+        table = gap_table(order)
+        assert table.floor_source == "repeated manoeuvres"
+        np.testing.assert_allclose(table.floor, 0.3, rtol=0.15)
+
+
+def test_copies_of_a_run_do_not_say_that_there_is_no_chance():
+    replays = three_runs(4.0, 3.0, 2.0, floor=0.25)[:1]
+    table = gap_table(replays, replays)
+    np.testing.assert_allclose(table.floor, 0.5)
+    assert table.closed.value == pytest.approx((9.0 - 4.0) / (9.0 - 0.25))
+
+
+def test_runs_of_few_samples_are_no_repetition():
+    """Nine samples of each sensor in common, say of a slow camera, leave no window to compare."""
+    replays = repeated(scatter=0.3, bias=5.0, seeds=(1, 2))
+    for r in replays:
+        r.errors[:, np.arange(400) % 42 > 0] = np.nan
+    table = gap_table(replays)
+    assert table.floor_source == "the predictor's noise"
+    assert np.isfinite(table.left.standard_error)
 
 
 def test_blank_channels_are_left_out_and_blank_rows_do_no_harm():

@@ -10,6 +10,7 @@ one-second windows when there are fewer than three runs).
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -30,8 +31,12 @@ WINDOW_S = 1.0
 BOOTSTRAPS = 2000
 PREDICTED, REPEATED = "the predictor's noise", "repeated manoeuvres"
 """Where a noise floor comes from."""
-SAME_MANOEUVRE = 0.98
-"""Correlation of the commands from which on two runs count as a repetition."""
+OTHER_COMMANDS = 0.02
+"""Mean square of what two commands differ by, over the sum of their variances, from which on they
+are no repetition."""
+OVERLAP, OUT_OF_STEP = 0.8, 0.1
+"""Share of the shorter of two runs that both must hold, and share of a window by which their
+restarts may be apart: the error of a replay depends on the time since its start."""
 
 
 @dataclass(frozen=True)
@@ -140,7 +145,8 @@ def _repeated_floor(run: Run, repeated: Array, estimated: Array) -> Array:
     """
     electric = np.array([channel.endswith("current_a") for channel in run.channels])
     floor = np.where(electric, np.fmax(repeated, estimated), repeated)
-    return np.where(np.isnan(floor), estimated, floor)
+    # Copies of a log differ in nothing, which tells nothing of chance.
+    return np.where(floor > 0, floor, estimated)
 
 
 def left_over(replays: Sequence[Replays], seen: Sequence[int], floor: Array) -> Left:
@@ -151,9 +157,9 @@ def left_over(replays: Sequence[Replays], seen: Sequence[int], floor: Array) -> 
 
 
 def _standard_error(samples: Array) -> float:
-    """Return that of their mean."""
+    """Return that of their mean; one sample does not tell."""
     samples = samples[~np.isnan(samples)]
-    return float(np.std(samples) / np.sqrt(max(len(samples) - 1, 1)))
+    return float(np.std(samples) / np.sqrt(len(samples) - 1)) if len(samples) > 1 else np.inf
 
 
 def improvement(replays: Sequence[Replays]) -> tuple[float, float]:
@@ -253,40 +259,51 @@ def _repetitions(replays: Sequence[Replays]) -> Array | None:
     """Half the mean square difference of replay errors between runs of one manoeuvre.
 
     By windows of one second (windows, channels). The model's error is the same in both and cancels;
-    what is left is chance.
+    what is left is chance. None without a window that both runs have sampled.
     """
-    found = []
-    for first in range(len(replays)):
-        for second in range(first + 1, len(replays)):
-            if _repeats(replays[first].run, replays[second].run):
-                found.append(_halved_difference(replays[first], replays[second]))
-    return np.concatenate(found) if found else None
+    found = [
+        _halved_difference(one, other)
+        for one, other in combinations(replays, 2)
+        if _repeats(one.run, other.run)
+    ]
+    windows = np.concatenate([np.empty((0, len(replays[0].run.channels))), *found])
+    windows = windows[~np.isnan(windows).all(axis=1)]
+    return windows if len(windows) else None
 
 
 def _repeats(one: Run, other: Run) -> bool:
-    end = min(one.t_s[-1], other.t_s[-1])
-    grid = np.linspace(max(one.t_s[0], other.t_s[0]), end, 400)
+    """Whether two runs have the same commands at the same time, and their replays one rhythm."""
+    begin, end = max(one.t_s[0], other.t_s[0]), min(one.t_s[-1], other.t_s[-1])
+    apart = abs(one.t_s[0] - other.t_s[0]) / WINDOW_S
+    if (
+        end < OVERLAP * max(one.t_s[-1], other.t_s[-1])
+        or end - begin < OVERLAP * min(one.duration_s, other.duration_s)
+        or abs(apart - round(apart)) > OUT_OF_STEP
+    ):
+        return False
+    grid = np.linspace(begin, end, 400)
     a, b = (
         np.stack([np.interp(grid, run.t_s, c) for c in run.command.T]).ravel()
         for run in (one, other)
     )
-    if min(np.std(a), np.std(b)) == 0 or end < 0.8 * max(one.t_s[-1], other.t_s[-1]):
+    if min(np.std(a), np.std(b)) == 0:
         return False
-    return float(np.corrcoef(a, b)[0, 1]) > SAME_MANOEUVRE
+    return float(np.mean((a - b) ** 2)) < OTHER_COMMANDS * float(np.var(a) + np.var(b))
 
 
 def _halved_difference(one: Replays, other: Replays) -> Array:
     """Mean squares (windows, channels) over the times when both were sampled."""
-    shared = one.counted & (one.run.t_s <= other.run.t_s[-1])
     difference = np.full((1, *one.errors.shape[1:]), np.nan)
     for channel in range(len(one.run.channels)):
         first, second = one.errors[-1][:, channel], other.errors[-1][:, channel]
-        there = shared & ~np.isnan(first)
         known = other.counted & ~np.isnan(second)
+        there = one.counted & ~np.isnan(first)
         if min(np.sum(there), np.sum(known)) >= 10:
-            again = np.interp(one.run.t_s[there], other.run.t_s[known], second[known])
+            t_s, known_s = one.run.t_s, other.run.t_s[known]
+            there &= (t_s >= known_s[0]) & (t_s <= known_s[-1])
+            again = np.interp(t_s[there], known_s, second[known])
             difference[0, there, channel] = first[there] - again
-    return _window_moments(replace(one, errors=difference / np.sqrt(2.0), counted=shared))[:, 0]
+    return _window_moments(replace(one, errors=difference / np.sqrt(2.0)))[:, 0]
 
 
 def evaluate_model(
