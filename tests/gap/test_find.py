@@ -163,6 +163,7 @@ def test_the_gap_on_the_held_out_run_closes(weak_motor):
     result = to_json(weak_motor[0])["gap"]
     assert result["held_out_runs"] == ["run_05"]
     assert result["closed_fraction"]["low"] > 0.8
+    assert result["closed_fraction"]["over"].endswith("of 1 run")
     # Better than chance would be too good.
     for channel in result["channels"].values():
         assert channel["after"] > 0.4 * channel["noise_floor"]
@@ -258,6 +259,7 @@ SHAPE = {
             "value": OPTIONAL_NUMBER,
             "low": OPTIONAL_NUMBER,
             "high": OPTIONAL_NUMBER,
+            "over": (str, type(None)),
         },
     },
     "detection_limits": {str: {str: NUMBER}},

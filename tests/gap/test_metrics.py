@@ -12,6 +12,7 @@ from omnislip.gap.metrics import (
     closed_fraction,
     evaluate_model,
     gap_table,
+    improvement,
     replay_all,
 )
 from omnislip.gap.recordings import Run, make_run
@@ -105,6 +106,49 @@ def test_few_runs_are_cut_into_windows(count):
     replays = three_runs(3.0, 3.0, 1.0)[:count]
     closed = closed_fraction(replays, [0, 1], np.ones(2))
     assert closed.value == pytest.approx(1.0)
+
+
+def cut(replays, row):
+    """The two pieces of a run that was cut at a row."""
+    rows = (slice(None, row), slice(row, None))
+    return [
+        Replays(
+            replace(replays.run, t_s=replays.run.t_s[part], command=replays.run.command[part]),
+            replays.errors[:, part],
+            replays.floor_variance[part],
+            replays.counted[part],
+        )
+        for part in rows
+    ]
+
+
+def test_pieces_of_a_run_count_as_the_run():
+    """A second piece that is short and bad weighs no more than its rows do."""
+    whole = three_runs(3.0, 3.0, 2.0)
+    whole[0].errors[:, 350:] *= 4.0
+    table, pieces = gap_table(whole), gap_table([*cut(whole[0], 350), *whole[1:]])
+    np.testing.assert_allclose(pieces.rmse, table.rmse)
+    np.testing.assert_allclose(pieces.floor, table.floor)
+    assert pieces.closed == table.closed
+
+
+@pytest.mark.parametrize(
+    ("count", "over"),
+    [(1, "4 windows of 1 s of 1 run"), (2, "8 windows of 1 s of 2 runs"), (3, "3 runs")],
+)
+def test_an_interval_says_what_it_is_over(count, over):
+    replays = three_runs(3.0, 3.0, 1.0)[:count]
+    assert closed_fraction(replays, [0, 1], np.ones(2)).over == over
+    pieces = [piece for one in replays for piece in cut(one, 225)]
+    assert closed_fraction(pieces, [0, 1], np.ones(2)).over.endswith(over[-6:])
+
+
+def test_a_piece_that_ends_before_its_first_replay_does_not_count():
+    replays = three_runs(3.0, 3.0, 2.0)
+    short = made_up_replays("short", np.full((3, 20, 2), 100.0))
+    table = gap_table([*replays, short])
+    np.testing.assert_allclose(table.rmse, gap_table(replays).rmse)
+    assert improvement([short]) == (0.0, 0.0)
 
 
 @pytest.mark.parametrize("count", [1, 2])

@@ -97,7 +97,7 @@ def findings_of(machine, verdict, effects=(), rivals=()):
     count = len(channels)
     rmse = np.outer([0.0491, 0.0437, 0.00213], np.arange(1, count + 1))
     floor = 0.00152 * np.arange(1, count + 1)
-    closed = Closed(0.976, 0.957, 0.989) if effects else Closed(None, None, None)
+    closed = Closed(0.976, 0.957, 0.989, "3 runs") if effects else Closed(None, None, None)
     left = Left(0.4, 0.1)
     table = GapTable(channels, rmse, floor, "repeated manoeuvres", closed, left, ("run_03",))
     shares = np.arange(len(equations), 0.0, -1.0)
@@ -283,7 +283,7 @@ def test_gap_table_holds_the_numbers_of_gap_json(machines, kind):
 
 
 def test_closed_share_names_its_interval(found_html):
-    closed = "98 % of the gap closed, 90 % interval 96 to 99 %"
+    closed = "98 % of the gap closed, 90 % interval 96 to 99 % over 3 runs"
     assert closed in Page(found_html).text
 
 

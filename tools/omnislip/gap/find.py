@@ -763,7 +763,7 @@ def _table_json(table: GapTable) -> dict[str, Any]:
     return {
         "held_out_runs": list(dict.fromkeys(table.runs)),
         "channels": channels,
-        "closed_fraction": {"value": closed.value, "low": closed.low, "high": closed.high},
+        "closed_fraction": asdict(closed),
         "noise_floor_source": table.floor_source,
     }
 

@@ -3,9 +3,11 @@
 A replay starts from the filtered state, runs freely with the logged command for one second, and
 starts again; its error is measured minus simulated. Per channel: RMSE of the believed model, of the
 refitted one and of the one with the effects; beside them the noise floor, what chance alone would
-leave. The excess G = mean square error - floor^2, in units of floor^2, averaged over channels; the
-closed fraction is (G_refit - G_after) / G_refit, with an interval by bootstrap over runs (over
-one-second windows when there are fewer than three runs).
+leave. Runs count alike; the pieces of one that was cut are one run. The excess G = mean square
+error - floor^2, in units of floor^2, averaged over channels; the closed fraction is
+(G_refit - G_after) / G_refit, with an interval by bootstrap over runs. With fewer than
+`LEAST_RUNS` it is over one-second windows: these hang together within a run, so that the interval
+is rather too narrow.
 """
 
 from collections.abc import Callable, Sequence
@@ -28,7 +30,7 @@ from omnislip.model_file import read_model
 Array = npt.NDArray[np.float64]
 
 WINDOW_S = 1.0
-BOOTSTRAPS = 2000
+BOOTSTRAPS, LEAST_RUNS = 2000, 3
 PREDICTED, REPEATED = "the predictor's noise", "repeated manoeuvres"
 """Where a noise floor comes from."""
 OTHER_COMMANDS = 0.02
@@ -52,11 +54,15 @@ class Replays:
 
 @dataclass(frozen=True)
 class Closed:
-    """Closed share of the gap with a 90 % interval; None when there is no gap to close."""
+    """Closed share of the gap with a 90 % interval; None when there is no gap to close.
+
+    `over` says in words what was drawn anew for the interval.
+    """
 
     value: float | None
     low: float | None
     high: float | None
+    over: str | None = None
 
 
 @dataclass(frozen=True)
@@ -112,14 +118,13 @@ def gap_table(replays: Sequence[Replays], others: Sequence[Replays] = ()) -> Gap
     """
     run = replays[0].run
     seen = [c for c in range(len(run.channels)) if any(_sampled(r, c) for r in replays)]
-    moments = np.stack([_moments(r) for r in replays])[:, :, seen]
     repetitions = _repetitions([*replays, *others])
     repeated = None if repetitions is None else _mean(repetitions, axis=0)
-    estimated = _mean(np.stack([_mean_floor(r) for r in replays]), axis=0)
+    estimated = _mean(np.stack([_mean_floor(pieces) for pieces in _by_run(replays)]), axis=0)
     floor = estimated if repeated is None else _repeated_floor(run, repeated, estimated)
     floor = floor[seen]
     source = PREDICTED if repeated is None else REPEATED
-    rmse = np.sqrt(_mean(moments, axis=0))
+    rmse = np.sqrt(_mean(_run_moments(replays)[:, :, seen], axis=0))
     left = left_over(replays, seen, floor)
     if repeated is not None:
         # A floor from few seconds is as uncertain as they are.
@@ -171,7 +176,7 @@ def improvement(replays: Sequence[Replays]) -> tuple[float, float]:
     falls, between = [], []
     for one in replays:
         difference = replace(one, errors=one.errors[:1] - one.errors[1:2])
-        floor = np.maximum(_mean_floor(one), np.finfo(float).tiny)
+        floor = np.maximum(_mean_floor([one]), np.finfo(float).tiny)
         square = _window_moments(one) / floor
         falls.append(square[:, 0] - square[:, 1])
         between.append(_window_moments(difference)[:, 0] / floor)
@@ -182,7 +187,7 @@ def improvement(replays: Sequence[Replays]) -> tuple[float, float]:
 
 def channel_rmse(replays: Sequence[Replays]) -> dict[str, Array]:
     """Return RMSE (models,) of every sampled channel over all runs."""
-    moments = np.stack([_moments(r) for r in replays])
+    moments = _run_moments(replays)
     return {
         channel: np.sqrt(_mean(moments[:, :, c], axis=0))
         for c, channel in enumerate(replays[0].run.channels)
@@ -192,10 +197,12 @@ def channel_rmse(replays: Sequence[Replays]) -> dict[str, Array]:
 
 def closed_fraction(replays: Sequence[Replays], seen: Sequence[int], floor: Array) -> Closed:
     """Return the closed share of the excess and its bootstrap interval."""
-    if len(replays) >= 3:
-        units = np.stack([_moments(r) for r in replays])[:, :, seen]
-    else:
+    units = _run_moments(replays)[:, :, seen]
+    over = f"{len(units)} runs"
+    if len(units) < LEAST_RUNS:
+        runs = "1 run" if len(units) == 1 else over
         units = np.concatenate([_window_moments(r) for r in replays])[:, :, seen]
+        over = f"{len(units)} windows of {WINDOW_S:g} s of {runs}"
 
     def share(sample: Array) -> float:
         # 1 is subtracted for the floor; channels count alike because each is in floors.
@@ -210,16 +217,29 @@ def closed_fraction(replays: Sequence[Replays], seen: Sequence[int], floor: Arra
     shares = [share(units[draw]) for draw in draws]
     finite = [s for s in shares if np.isfinite(s)]
     low, high = np.percentile(finite, [5, 95]) if finite else (value, value)
-    return Closed(value, float(low), float(high))
+    return Closed(value, float(low), float(high), over)
 
 
 def _sampled(replays: Replays, channel: int) -> bool:
     return bool(np.any(~np.isnan(replays.errors[0][replays.counted, channel])))
 
 
-def _moments(replays: Replays) -> Array:
-    """Mean square error (models, channels)."""
-    return _mean_square(replays.errors[:, replays.counted])
+def _by_run(replays: Sequence[Replays]) -> list[list[Replays]]:
+    """Return the pieces of each run."""
+    runs: dict[tuple[str, str], list[Replays]] = {}
+    for one in replays:
+        runs.setdefault((one.run.unit, one.run.name), []).append(one)
+    return list(runs.values())
+
+
+def _run_moments(replays: Sequence[Replays]) -> Array:
+    """Mean square error of each run (runs, models, channels) over all of its pieces."""
+    return np.stack(
+        [
+            _mean_square(np.concatenate([one.errors[:, one.counted] for one in pieces], axis=1))
+            for pieces in _by_run(replays)
+        ]
+    )
 
 
 def _mean_square(errors: Array) -> Array:
@@ -237,22 +257,26 @@ def _mean(values: Array, axis: int) -> Array:
 
 
 def _window_moments(replays: Replays) -> Array:
-    """Mean square error of each one-second window (windows, models, channels)."""
+    """Mean square error of each one-second window (windows, models, channels).
+
+    There is none in a piece that ends before a replay begins.
+    """
     t_s = replays.run.t_s
     number = ((t_s - t_s[0] - _core.SETTLE_S) / WINDOW_S).astype(int)
     number[~replays.counted] = -1
-    windows = []
-    for window in range(number.max() + 1):
-        errors = replays.errors[:, number == window]
-        windows.append(_mean_square(errors))
-    return np.stack(windows)
+    count = number.max() + 1
+    moments = np.empty((count, len(replays.errors), replays.errors.shape[2]))
+    for window in range(count):
+        moments[window] = _mean_square(replays.errors[:, number == window])
+    return moments
 
 
-def _mean_floor(replays: Replays) -> Array:
-    sampled = ~np.isnan(replays.errors[0]) & replays.counted[:, None]
-    total = np.where(sampled, replays.floor_variance, 0.0).sum(axis=0)
-    count = sampled.sum(axis=0)
-    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+def _mean_floor(pieces: Sequence[Replays]) -> Array:
+    """Mean floor variance (channels,) of the sampled rows; NaN where there is none."""
+    variances = [
+        np.where(np.isnan(one.errors[0]), np.nan, one.floor_variance)[one.counted] for one in pieces
+    ]
+    return _mean(np.concatenate(variances), axis=0)
 
 
 def _repetitions(replays: Sequence[Replays]) -> Array | None:
