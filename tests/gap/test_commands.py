@@ -122,6 +122,12 @@ def test_too_little_data_is_work_done(case, omnislip, tmp_path):
     assert report.rstrip().endswith("</html>")
 
 
+def test_evaluate_refuses_a_log_that_is_too_short(omnislip, tmp_path):
+    write_log(still_log(40), tmp_path / "run.csv")
+    ended = omnislip("gap", "evaluate", "--robot", NOMINAL_ROBOT, "run.csv")
+    assert_refused(ended, ["run.csv", "more than 1 s"])
+
+
 # ---- bad input ----
 
 

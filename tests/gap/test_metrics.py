@@ -4,19 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from axis_bench import Bench, make_log, make_machine, make_runs, model_text, silent, true_noise
+from axis_bench import Bench, make_log, make_machine, make_runs, true_noise
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from omnislip.gap.metrics import (
     Replays,
     closed_fraction,
-    evaluate_model,
     gap_table,
     improvement,
     replay_all,
 )
 from omnislip.gap.recordings import Run, make_run
-from omnislip.log_file import write_log
 
 ROW_S = 0.01
 
@@ -331,19 +329,3 @@ def test_replay_without_noise_and_gap_has_no_error(tmp_path):
     run = make_run(machine, make_log(Bench(), 1, noise=0.0))
     [replays] = replay_all(machine, [run], true_noise(), [machine.believed] * 3)
     assert np.abs(replays.errors[:, replays.counted]).max() < 2e-6
-
-
-def evaluated(tmp_path, **believed):
-    model = tmp_path / "axis.toml"
-    model.write_text(model_text(**believed))
-    logs = [tmp_path / f"run_{k}.csv" for k in range(4)]
-    for k, path in enumerate(logs):
-        write_log(make_log(Bench(coulomb_n=2.0), k), path)
-    return evaluate_model(model, logs, silent)["channels"]["axis/position_m"]
-
-
-def test_evaluate_tells_the_better_model(tmp_path):
-    worse = evaluated(tmp_path)
-    better = evaluated(tmp_path, effects="[[effects.coulomb_friction]]\nforce_n = 2.0\n")
-    assert better["rmse"] < 0.3 * worse["rmse"]
-    assert 0.5 < better["rmse"] / better["noise_floor"] < 2.0

@@ -113,7 +113,7 @@ def evaluate(
     as_json: Json = False,
 ) -> None:
     """Print how wrong a model is on logs: replay errors per channel and the noise floor."""
-    from omnislip.gap.metrics import evaluate_model
+    from omnislip.gap.evaluate import evaluate_model
 
     with progress() as say:
         result = evaluate_model(robot, logs, say)

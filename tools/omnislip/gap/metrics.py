@@ -10,22 +10,17 @@ error - floor^2, in units of floor^2, averaged over channels; the closed fractio
 is rather too narrow.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from omnislip import _core
 from omnislip.gap.machine import Machine
-from omnislip.gap.noise import Noise, track_all, tune_noise
-from omnislip.gap.recordings import Run, body_errors, machine_for, make_run
-from omnislip.gap.wiring import mend
-from omnislip.log_file import read_log
-from omnislip.model_file import read_model
+from omnislip.gap.noise import Noise, track_all
+from omnislip.gap.recordings import Run, body_errors
 
 Array = npt.NDArray[np.float64]
 
@@ -328,26 +323,3 @@ def _halved_difference(one: Replays, other: Replays) -> Array:
             again = np.interp(t_s[there], known_s, second[known])
             difference[0, there, channel] = first[there] - again
     return _window_moments(replace(one, errors=difference / np.sqrt(2.0)))[:, 0]
-
-
-def evaluate_model(
-    model_path: Path, log_paths: Sequence[Path], progress: Callable[[str], None]
-) -> dict[str, Any]:
-    """Return RMSE of one-second replays and noise floor per channel, for any model on any runs."""
-    model = read_model(model_path)
-    logs = [mend(read_log(path, model.kind), model.effects) for path in log_paths]
-    machine = machine_for(model, logs)
-    runs = [make_run(machine, log) for log in logs]
-    progress("tuning the noise")
-    noise = tune_noise(machine, runs, machine.believed)
-    progress("replaying")
-    table = gap_table(replay_all(machine, runs, noise, [machine.believed] * 3))
-    return {
-        "model": str(model_path),
-        "runs": list(table.runs),
-        "channels": {
-            channel: {"rmse": float(table.rmse[0, c]), "noise_floor": float(table.floor[c])}
-            for c, channel in enumerate(table.channels)
-        },
-        "noise_floor_source": table.floor_source,
-    }

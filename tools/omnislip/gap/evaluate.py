@@ -1,0 +1,73 @@
+"""`omnislip gap evaluate`: how wrong any model is on any logs, by the figures of `gap find`.
+
+The logs pass the same gates and are cut at the same places: missing rows, a camera that goes on
+from another place, the pushes that the model names. Beside the figures in gap.json, for the same
+model and the held-out logs, as far as whole logs were held out:
+
+    RMSE         the same but for the states from which replays start: they are filtered with the
+                 noise that is tuned here, on these logs and for this model. `gap find` has it from
+                 the runs that it fitted and for the final model.
+    noise floor  near that of gap.json for a model that lacks nothing. Of one that lacks something
+                 it is too high, for its noise takes a part of the gap for chance: the floor to
+                 judge by is the lowest of the models that are compared. Repeated manoeuvres give
+                 the same floor for all models; `gap find` looks for them in all of its logs.
+
+A push that a model does not name is an error of that model. `gap find` cuts it out for all models.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from omnislip.errors import InputError
+from omnislip.gap.events import LEAST_PIECE_S, known_pushes, pieces
+from omnislip.gap.find import LEAST_ROWS
+from omnislip.gap.gates import check
+from omnislip.gap.metrics import gap_table, replay_all
+from omnislip.gap.noise import tune_noise
+from omnislip.gap.recordings import machine_for, make_run
+from omnislip.gap.wiring import mend
+from omnislip.log_file import read_log
+from omnislip.model_file import read_model
+
+
+def evaluate_model(
+    model_path: Path, log_paths: Sequence[Path], progress: Callable[[str], None]
+) -> dict[str, Any]:
+    """Return RMSE of one-second replays and noise floor per channel, in the log's units.
+
+    InputError for logs that `gap find` would refuse as well.
+    """
+    model = read_model(model_path)
+    logs = [mend(read_log(path, model.kind), model.effects) for path in log_paths]
+    machine = machine_for(model, logs)
+    checked = check(machine, logs)
+    if checked.complaint:
+        raise InputError(f"the logs cannot be used: {checked.complaint}")
+    cuts = checked.cuts + known_pushes(model)
+    runs = [
+        replace(make_run(machine, log, *rows), unit=str(path))
+        for path, log in zip(log_paths, checked.logs, strict=True)
+        for rows in pieces(log, cuts)
+        if rows[1] - rows[0] >= LEAST_ROWS
+    ]
+    if not runs:
+        raise InputError(
+            f"{', '.join(map(str, log_paths))}: too short to be replayed; a log, or what is left "
+            f"of it between pushes and gaps, must last more than {LEAST_PIECE_S:g} s and have "
+            f"{LEAST_ROWS} rows"
+        )
+    progress("tuning the noise")
+    noise = tune_noise(machine, runs, machine.believed)
+    progress("replaying")
+    table = gap_table(replay_all(machine, runs, noise, [machine.believed] * 3))
+    return {
+        "model": str(model_path),
+        "runs": list(dict.fromkeys(table.runs)),
+        "channels": {
+            channel: {"rmse": float(table.rmse[0, c]), "noise_floor": float(table.floor[c])}
+            for c, channel in enumerate(table.channels)
+        },
+        "noise_floor_source": table.floor_source,
+    }
