@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from omnislip import compute
 from omnislip.errors import InputError
-from omnislip.gap import baselines, benchmark
+from omnislip.gap import baselines, benchmark, find
 from omnislip.gap.benchmark import ERROR, RESULTS, SIZES, Task, run_benchmark, score, solve, tasks
 from omnislip.gap.truth import TruthCase
 from omnislip.gap.truth_effects import EFFECTS, UNKNOWN_EFFECTS, HiddenEffect
@@ -87,6 +87,14 @@ def test_the_right_effect_on_the_wrong_wheel_is_wrong():
     assert not row["exact"] and row["wheel"] is False
 
 
+def test_of_two_effects_of_a_wheel_both_must_be_on_theirs():
+    two = [("weak_motor", 2, {"scale": 0.9}), ("roller_drag", 1, {"torque_nm": 0.1})]
+    moved = [two[0], ("roller_drag", 4, {"torque_nm": 0.1})]
+    assert score(truth(*two), answer(*two))["wheel"] is True
+    assert score(truth(*two), answer(*moved))["wheel"] is False
+    assert score(truth(*two), answer(two[0]))["wheel"] is True
+
+
 def test_a_rival_is_inside_the_set():
     row = score(truth(LOAD), answer(DRAG, rivals=["payload"]))
     assert row["in_set"] == [True] and row["set_size"] == [2] and not row["exact"]
@@ -153,6 +161,18 @@ def test_results_are_the_same_on_a_cluster_and_when_a_worker_dies(
     assert json.loads((local / "single_payload" / "result.json").read_text()) == rows[3]
     # The same rows with the same times, with no scheduler that answers: nothing is computed again.
     assert run_benchmark(local, chosen, "tcp://127.0.0.1:1", lambda *_: None) == rows
+
+
+@pytest.mark.parametrize(("scale", "visible"), [(0.9, True), (0.9999, False)])
+def test_what_refused_logs_show_is_told_by_the_oracle(scale, visible, monkeypatch):
+    """A gate that wrongly refuses logs which show a weak motor is no way out."""
+    monkeypatch.setattr(find, "_too_little", lambda *_: "nobody drives so")
+    motor = HiddenEffect("weak_motor", {"scale": scale}, 2).as_dict()
+    case = TruthCase(seed=3, effects=(motor,), runs=2, run_duration_s=3.0)
+    row = solve(asdict(Task("refused", "single", case))).result
+    assert row["verdict"] == "insufficient_data" and row["error"] is None
+    assert (row["lambda"] >= benchmark.VISIBLE) == visible
+    assert row["gap_closed"] is None and row["workflow: replay_error"] is None
 
 
 def in_this_process(function, cases, _marks, _scheduler):

@@ -11,6 +11,7 @@ from omnislip.gap.benchmark import METHOD_COLUMNS
 from omnislip.gap.benchmark_summary import (
     CONFUSION,
     SUMMARY,
+    _hidden_and_given,
     by_effect,
     by_group,
     by_method,
@@ -103,6 +104,41 @@ def test_a_failed_case_is_not_right_in_any_figure_of_its_class():
     assert hits(one["impacts in time"]) == (0, 2)
 
 
+def refused(**changed):
+    """Row of a case whose logs the workflow did not take."""
+    nothing = dict.fromkeys(METHOD_COLUMNS) | {"gap_closed": None, "gap_closed_oracle": None}
+    return row(named=(), verdict="insufficient_data", **changed) | nothing | {"chance": None}
+
+
+def test_what_could_be_seen_in_refused_logs_was_missed():
+    faint = refused(**{"lambda": 3.0})
+    one = summary([row(), refused(), faint, refused(kind="double", hidden=("payload", "sag"))])
+    assert hits(one["logs refused"]) == (3, 4)
+    assert hits(one["single or double, visible: logs refused"]) == (2, 3)
+    for name in ("single: first name right", "single: exact set"):
+        assert hits(one[name]) == (1, 2)
+    assert hits(one["double: both found"]) == (0, 1)
+    assert one["gap closed against the oracle, median"] == {"value": 0.0, "of": 3}
+    assert hits(by_effect([row(), refused(), faint])["payload"]["found where visible"]) == (1, 2)
+
+
+def test_a_null_that_was_refused_is_no_success():
+    rows = [row("null", (), ()), refused(kind="null", hidden=())]
+    one = summary(rows)
+    assert hits(one["null: false alarm"]) == hits(one["null: called unknown"]) == (0, 1)
+    assert hits(one["null: logs refused"]) == (1, 2)
+    assert hits(by_group(rows)["open loop"]["false alarm"]) == (0, 1)
+
+
+def test_pushes_count_one_by_one_and_so_do_those_that_are_none():
+    pushes = {"kind": "impact", "hidden": ("impact", "impact"), "named": ("impact",)}
+    rows = [row(**pushes, impacts={"in_time": 1, "hidden": 2, "found": 3})]
+    rows.append(row("null", (), ("impact",), impacts={"in_time": 0, "hidden": 0, "found": 1}))
+    assert hits(by_effect(rows)["impact"]["found where visible"]) == (1, 2)
+    assert hits(summary(rows)["impacts in time"]) == (1, 2)
+    assert hits(summary(rows)["impacts found that are there"]) == (1, 4)
+
+
 def test_groups_are_by_curve_and_by_loop():
     rows = [row(), row(named=(), friction_curve="tanh", closed_loop=True)]
     rows.append(row("null", (), ("body_drag",), closed_loop=True))
@@ -138,7 +174,8 @@ def test_methods_are_compared_on_cases_that_all_were_asked():
 
 
 def test_everything_is_written_drawn_and_printed(tmp_path):
-    rows = [row(), row("null", (), ()), failed()]
+    rows = [row(), row("null", (), ()), failed(), refused(kind="null", hidden=())]
+    assert _hidden_and_given(rows[3]) == ("nothing", "insufficient_data")
     figures = write_summary(rows, tmp_path)
     assert json.loads((tmp_path / SUMMARY).read_text()) == figures
     assert (tmp_path / CONFUSION).read_bytes().startswith(b"\x89PNG")

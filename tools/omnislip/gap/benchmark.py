@@ -8,7 +8,8 @@ figure.
 
 How strongly a data set shows what is hidden in it says the oracle: it knows which effects are
 hidden and fits their sizes. lambda = fall of the objective (inference.py) from the refitted keys to
-the oracle, over the inflation. Below 25 nothing can be seen, and saying nothing is right.
+the oracle, over the inflation. Below 25 nothing can be seen, and saying nothing is right. Logs that
+the workflow refused show as much as others: there lambda is of the runs that would be fitted.
 
 A friction curve of the truth that is not the believed arctangent is an effect of its own; naming it
 (`contact_shape`) is right, and not naming it is no fault.
@@ -34,22 +35,24 @@ import pandas as pd
 from omnislip.compute import Outcome, run_cases
 from omnislip.files import replace_file
 from omnislip.gap.baselines import METHODS, ask_baselines, check_installed, replay_errors
-from omnislip.gap.find import Findings, find_gap, to_json
+from omnislip.gap.find import Findings, find_gap, split_runs, to_json
 from omnislip.gap.inference import Data, Fit, Hypothesis, fit, weigh
 from omnislip.gap.machine import CURVE, Candidate, Machine
 from omnislip.gap.metrics import gap_table, replay_all
 from omnislip.gap.noise import tune_noise
 from omnislip.gap.recordings import Run
+from omnislip.gap.search import believed_hypothesis
 from omnislip.gap.truth import TruthCase, random_case, write_case
 from omnislip.gap.truth_effects import EFFECTS, UNKNOWN_EFFECTS
+from omnislip.log_file import Log, read_log
 
 Array = npt.NDArray[np.float64]
 Pair = tuple[str, int | None]
 
 SEEDS = {"development": 1_000, "sealed": 5_000_000}
 RESULTS, ERROR = "results.parquet", "error.txt"
-FAILED = "failed"
-"""Verdict of a case that raised an exception."""
+FAILED, REFUSED = "failed", "insufficient_data"
+"""Verdicts of a case that raised an exception, and of one whose logs the workflow did not take."""
 WIRING_EFFECTS = ("wheel_permutation", "encoder_sign", "motor_sign")
 VISIBLE = 25.0
 IN_TIME_S = 0.015
@@ -172,7 +175,8 @@ def _solve_in(folder: Path, task: Task) -> dict[str, Any]:
     (folder / "gap.json").write_bytes(_json(found))
     row = score(truth, found) | _about(task) | {"time_s": seconds}
     row["chance"] = _least_chance(findings)
-    oracle, seen = _ask_oracle(findings, truth)
+    logs = [read_log(path, findings.machine.kind) for path in sorted(folder.glob("run_*.csv"))]
+    oracle, seen = _ask_oracle(findings, logs, truth)
     return row | seen | _ask_others(findings, truth, oracle)
 
 
@@ -267,9 +271,10 @@ def _label(name: str, wheel: int | None) -> str:
 
 
 def _wheel_right(wanted: Sequence[tuple], named: Sequence[tuple]) -> bool | None:
-    """Whether effects of one wheel are named with that wheel; None where none is named."""
-    pairs = [(w, n) for w in wanted for n in named if w[0] == n[0] and w[1] is not None]
-    return any(w == n for w, n in pairs) if pairs else None
+    """Whether all effects of one wheel that are named are on that wheel; None where none is."""
+    names = {name for name, _ in named}
+    of_wheels = [pair for pair in wanted if pair[1] is not None and pair[0] in names]
+    return all(pair in named for pair in of_wheels) if of_wheels else None
 
 
 def _size_errors(truth: dict[str, Any], found: dict[str, Any]) -> list[dict[str, Any]]:
@@ -325,26 +330,30 @@ NOT_SEEN = {"lambda": None, "gap_closed": None, "gap_closed_oracle": None}
 
 
 def _ask_oracle(
-    findings: Findings, truth: dict[str, Any]
+    findings: Findings, logs: Sequence[Log], truth: dict[str, Any]
 ) -> tuple[Hypothesis | None, dict[str, Any]]:
     """Fit the true structure: its model, how visible it is, how much of the gap it closes.
 
-    `lambda` is None where the catalogue cannot hold the truth (unknown, wiring, impact).
+    `lambda` is None where the catalogue cannot hold the truth (unknown, wiring, impact). Of refused
+    logs the oracle tells nothing else.
     """
     machine, outcome = findings.machine, findings.outcome
-    runs = findings.split.fitting
+    runs = findings.split.fitting if outcome else split_runs(machine, logs).fitting
     structure = _true_structure(machine, runs, truth)
-    if outcome is None or structure is None:
+    if structure is None or not (outcome or truth["effects"]):
         return None, NOT_SEEN
-    base = outcome.ladder[0].hypothesis
-    sizes = [outcome.ladder[0].hypothesis.x] + [np.array(values) for _, values in structure]
+    base = outcome.ladder[0].hypothesis if outcome else believed_hypothesis(machine)
+    noise = outcome.data.noise if outcome else None
+    sizes = [base.x] + [np.array(values) for _, values in structure]
     oracle = Hypothesis(base.base, tuple(c for c, _ in structure), np.concatenate(sizes))
     values = oracle.flat(machine.believed)
-    data = Data(machine, runs, tune_noise(machine, runs, values, outcome.data.noise), values)
+    data = Data(machine, runs, tune_noise(machine, runs, values, noise), values)
     fitted = fit(data, oracle)
     visible = None
     if truth["effects"]:
         visible = min(_lambda(data, fitted, i) for i in range(len(truth["effects"])))
+    if outcome is None:
+        return None, NOT_SEEN | {"lambda": visible}
     models = [machine.believed, base.flat(machine.believed)]
     closed = []
     for hypothesis in (outcome.final.hypothesis, fitted.hypothesis):

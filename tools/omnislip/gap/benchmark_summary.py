@@ -1,8 +1,10 @@
 """What the rows of `omnislip gap benchmark` say: figures, tables, and the confusion as a picture.
 
 A figure is a share with its 95 % Wilson interval, a median or a mean. Singles and doubles count
-where the oracle sees every hidden effect (`VISIBLE`); a case that failed counts as not right. The
-sections of `sections` are printed as tables and written to summary.json:
+where the oracle sees every hidden effect (`VISIBLE`); a case that failed counts as not right, and
+so does one whose logs were refused though something is hidden in them that can be seen. Of nulls
+that were refused nobody knows whether they had been right: they count as refused only. The sections
+of `sections` are printed as tables and written to summary.json:
 
     summary   every class of cases
     groups    by friction curve and by open or closed loop
@@ -21,7 +23,7 @@ from rich.table import Table
 
 from omnislip.files import replace_file, write_text
 from omnislip.gap.baselines import METHODS
-from omnislip.gap.benchmark import FAILED, SIZES, VISIBLE
+from omnislip.gap.benchmark import FAILED, REFUSED, SIZES, VISIBLE
 from omnislip.gap.machine import CURVE
 from omnislip.gap.truth_effects import UNKNOWN_EFFECTS
 
@@ -62,17 +64,23 @@ def summary(rows: Sequence[Row]) -> dict[str, Numbers]:
     sizes = [s for r in both for s in r["sizes"]]
     pushes = [r["impacts"] for r in of["impact"] if r["impacts"]]
     in_time = [n < p["in_time"] for p in pushes for n in range(p["hidden"])]
+    jolts = [r["impacts"] for r in rows if r["impacts"]]
+    true_pushes = [n < p["in_time"] for p in jolts for n in range(p["found"])]
+    nulls = [r for r in of["null"] if not _refused(r)]
     misnamed = [r["verdict"] in ("effect_found", FAILED) and not r["first"] for r in of["unknown"]]
     complete = [r for r in rows if r["exact"] and r["chance"] is not None]
     return {
         "failed": share([_failed(r) for r in rows]),
+        "logs refused": share([_refused(r) for r in rows]),
+        "single or double, visible: logs refused": share([_refused(r) for r in both]),
+        "null: logs refused": share([_refused(r) for r in of["null"]]),
         "single: first name right": share([r["first"] for r in seen["single"]]),
         "single: exact set": share([r["exact"] for r in seen["single"]]),
         "wheel right": share([r["wheel"] for r in both if r["wheel"] is not None]),
         "size error, median": _median([s["error"] for s in sizes]),
         "interval holds the size": share([s["inside"] for s in sizes]),
-        "null: false alarm": share([not r["exact"] for r in of["null"]]),
-        "null: called unknown": share([r["verdict"] == "unknown_effect" for r in of["null"]]),
+        "null: false alarm": share([not r["exact"] for r in nulls]),
+        "null: called unknown": share([r["verdict"] == "unknown_effect" for r in nulls]),
         "right set: chance below 0.01 in the last step": share(
             [r["chance"] < 0.01 for r in complete]
         ),
@@ -84,6 +92,7 @@ def summary(rows: Sequence[Row]) -> dict[str, Numbers]:
         "ambiguity set, mean size": _mean([n for r in both for n in r["set_size"]]),
         "gap closed against the oracle, median": _median(_closed(both)),
         "impacts in time": share(in_time),
+        "impacts found that are there": share(true_pushes),
         "wiring: right": share([r["exact"] for r in of["wiring"]]),
         "time, median s": _median([r["time_s"] for r in rows if r["time_s"] is not None]),
         "time of all baselines, median s": _median(
@@ -122,7 +131,7 @@ def by_method(rows: Sequence[Row]) -> dict[str, dict[str, Numbers]]:
 def _names(rows: Sequence[Row], of: str = "") -> dict[str, Numbers]:
     """Return how good the names are; `of` stands before the columns of a method."""
     single = [r for r in rows if r["kind"] == "single" and _seen(r)]
-    null = [r for r in rows if r["kind"] == "null"]
+    null = [r for r in rows if r["kind"] == "null" and not _refused(r)]
     return {
         "first name right": share([r[f"{of}first"] for r in single]),
         "exact set": share([r[f"{of}exact"] for r in single]),
@@ -136,7 +145,10 @@ def by_effect(rows: Sequence[Row]) -> dict[str, dict[str, Numbers]]:
     counts: dict[str, int] = {}
     for row in rows:
         flagged = row["verdict"] == "unknown_effect"
-        for label, named in zip(row["hidden"], row["recall"], strict=True):
+        recall = row["recall"]
+        if row["kind"] == "impact":
+            recall = [n < row["impacts"]["in_time"] for n in range(len(recall))]
+        for label, named in zip(row["hidden"], recall, strict=True):
             effect = _bare(label)
             counts[effect] = counts.get(effect, 0) + 1
             own = hits.setdefault(effect, [])
@@ -152,6 +164,10 @@ def _failed(row: Row) -> bool:
     return row["verdict"] == FAILED
 
 
+def _refused(row: Row) -> bool:
+    return row["verdict"] == REFUSED
+
+
 def _seen(row: Row) -> bool:
     """Whether the oracle sees all that is hidden; a case that failed counts as seen."""
     if not row["hidden"] or row["kind"] in NOT_IN_CATALOGUE or _failed(row):
@@ -160,13 +176,13 @@ def _seen(row: Row) -> bool:
 
 
 def _closed(rows: Sequence[Row]) -> list[float]:
-    """Return shares of the oracle's closed gap; a case that failed closes nothing."""
+    """Return shares of the oracle's closed gap; a case without an answer closes nothing."""
     closed = [
         r["gap_closed"] / r["gap_closed_oracle"]
         for r in rows
         if r["gap_closed"] is not None and (r["gap_closed_oracle"] or 0) > 0.05
     ]
-    return closed + [0.0 for r in rows if _failed(r)]
+    return closed + [0.0 for r in rows if _failed(r) or _refused(r)]
 
 
 def share(hits: Sequence[bool]) -> Numbers:
@@ -256,8 +272,8 @@ def draw_confusion(rows: Sequence[Row], path: Path) -> None:
 def _hidden_and_given(row: Row) -> tuple[str, str]:
     hidden = _bare(row["hidden"][0]) if row["hidden"] else NOTHING
     given = [n for n in map(_bare, row["named"]) if n != CURVE or hidden == n]
-    silent = {"unknown_effect": UNKNOWN, FAILED: FAILED}.get(row["verdict"], NOTHING)
-    return hidden, given[0] if given else silent
+    silent = {"unknown_effect": UNKNOWN, FAILED: FAILED, REFUSED: REFUSED}
+    return hidden, given[0] if given else silent.get(row["verdict"], NOTHING)
 
 
 def _right_answer(hidden: str) -> str:
@@ -266,7 +282,7 @@ def _right_answer(hidden: str) -> str:
 
 def _catalogue_first(name: str) -> tuple[int, str]:
     """Sort names of the catalogue before what is not in it, and before answers without a name."""
-    last = (*UNKNOWN_EFFECTS, NOTHING, UNKNOWN, FAILED)
+    last = (*UNKNOWN_EFFECTS, NOTHING, UNKNOWN, REFUSED, FAILED)
     return (last.index(name) + 1 if name in last else 0, name)
 
 

@@ -173,11 +173,14 @@ def benchmark(
 
 
 def _print_cases(rows: list[dict]) -> None:
+    from omnislip.gap.benchmark import REFUSED
+
     table = Table(title="cases that were not solved exactly")
     for heading in ("case", "curve", "lambda", "verdict", "named"):
         table.add_column(heading, overflow="fold")
     for row in rows:
-        if (row["kind"] == "unknown" and row["verdict"] == "unknown_effect") or row["exact"]:
+        flagged = row["kind"] == "unknown" and row["verdict"] == "unknown_effect"
+        if flagged or (row["exact"] and row["verdict"] != REFUSED):
             continue
         strength = "" if row["lambda"] is None else f"{row['lambda']:.0f}"
         named = ", ".join(row["named"])
