@@ -356,6 +356,15 @@ def test_no_row_is_in_two_parts_of_the_split(count, tmp_path):
     assert len(parts[0]) >= 0.5 * sum(map(len, parts))
 
 
+def test_what_ends_before_it_can_be_replayed_is_not_held_out(tmp_path):
+    """The last quarter begins at 3 s, and a push at 3.3 s leaves less than a second after it."""
+    model, _ = axis_case(tmp_path, seeds=())
+    log = make_log(Bench(), 1, duration_s=4.0)
+    assert not split_runs(Machine(read_model(model)), [log], [(log.name, 3.3)]).held_out
+    later = split_runs(Machine(read_model(model)), [log], [(log.name, 3.6)])
+    assert [run.duration_s for run in later.held_out] == pytest.approx([0.595])
+
+
 def test_runs_of_the_same_name_in_two_folders_are_two(tmp_path):
     model, _ = axis_case(tmp_path, seeds=())
     logs = [replace(make_log(Bench(), k), series=f"day_{d}") for d in range(2) for k in range(3)]

@@ -141,6 +141,13 @@ def test_an_interval_says_what_it_is_over(count, over):
     assert closed_fraction(pieces, [0, 1], np.ones(2)).over.endswith(over[-6:])
 
 
+def test_one_window_tells_neither_a_share_nor_what_is_left():
+    replays = [made_up_replays("short", constant_errors(9.0, 9.0, 3.0, rows=120))]
+    table = gap_table(replays)
+    assert table.closed.value is None
+    assert table.left.standard_error == np.inf
+
+
 def test_a_piece_that_ends_before_its_first_replay_does_not_count():
     replays = three_runs(3.0, 3.0, 2.0)
     short = made_up_replays("short", np.full((3, 20, 2), 100.0))

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from omnislip import _core
 from omnislip.errors import InputError
 from omnislip.files import write_text
 from omnislip.gap.events import Impact, as_effect, find_impacts, known_pushes, pieces, too_often
@@ -90,7 +91,8 @@ SURE = 3.0
 LEAST_TIME_S = 3.0
 LEAST_TRAVEL = 20.0
 """Motion, in steps of the position sensor, below which nothing can be learned."""
-LEAST_ROWS = 50
+LEAST_ROWS, SHORTEST_S = 50, 2.0 * _core.SETTLE_S
+"""What a piece of a log must hold: until the filter has settled nothing is fitted or replayed."""
 CONFIDENCE = 1.959964  # 95 %
 
 
@@ -301,7 +303,7 @@ def weak_names(selected: Sequence[Selected]) -> list[str]:
 def _too_cut(split: Split) -> str:
     return (
         f"between pushes and gaps too little is left to fit, to check and to hold out: each "
-        f"takes pieces of {LEAST_ROWS} rows ({split.how})"
+        f"takes pieces of {LEAST_ROWS} rows and {SHORTEST_S:g} s ({split.how})"
     )
 
 
@@ -436,7 +438,8 @@ def split_runs(
     for unit, is_held_out, log, first, last in parts:
         for begin, end in pieces(log, pushes):
             rows = (max(begin, first), min(end, last))
-            if rows[1] - rows[0] >= LEAST_ROWS:
+            lasts_s = log.t_s[rows[1] - 1] - log.t_s[rows[0]] if rows[1] > rows[0] else 0.0
+            if rows[1] - rows[0] >= LEAST_ROWS and lasts_s > SHORTEST_S:
                 run = replace(make_run(machine, log, *rows), unit=unit)
                 (held_out if is_held_out else fitting).append(run)
     return Split(fitting, held_out, how)

@@ -140,8 +140,8 @@ def _gap_lines(findings: Findings, peers: Sequence[Peer]) -> list[str]:
         lines += [
             "",
             f"Closed share of the gap: {100 * closed.value:.0f} % "
-            f"(90 % interval {100 * closed.low:.0f} to {100 * closed.high:.0f} %, bootstrap over "
-            f"{'runs' if len(findings.replays) >= 3 else 'windows'}).",
+            f"(90 % interval {100 * closed.low:.0f} to {100 * closed.high:.0f} %, "
+            f"bootstrap over {closed.over}).",
         ]
     return [*lines, "", *(f"- {peer.name}: {peer.found}." for peer in peers), ""]
 

@@ -49,7 +49,7 @@ class Replays:
 
 @dataclass(frozen=True)
 class Closed:
-    """Closed share of the gap with a 90 % interval; None when there is no gap to close.
+    """Closed share of the gap with a 90 % interval; None when there is no gap to close or to judge.
 
     `over` says in words what was drawn anew for the interval.
     """
@@ -205,7 +205,7 @@ def closed_fraction(replays: Sequence[Replays], seen: Sequence[int], floor: Arra
         return float((excess[1] - excess[2]) / excess[1]) if excess[1] > 0.05 else np.nan
 
     value = share(units)
-    if not np.isfinite(value):
+    if len(units) < 2 or not np.isfinite(value):  # one window has no scatter
         return Closed(None, None, None)
     rng = np.random.default_rng(0)
     draws = rng.integers(0, len(units), (BOOTSTRAPS, len(units)))
