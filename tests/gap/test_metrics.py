@@ -276,6 +276,7 @@ def test_repetitions_are_compared_over_the_times_that_both_have():
 def test_copies_of_a_run_do_not_say_that_there_is_no_chance():
     replays = three_runs(4.0, 3.0, 2.0, floor=0.25)[:1]
     table = gap_table(replays, replays)
+    assert table.floor_source == "the predictor's noise"
     np.testing.assert_allclose(table.floor, 0.5)
     assert table.closed.value == pytest.approx((9.0 - 4.0) / (9.0 - 0.25))
 

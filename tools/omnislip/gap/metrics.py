@@ -145,7 +145,6 @@ def _repeated_floor(run: Run, repeated: Array, estimated: Array) -> Array:
     """
     electric = np.array([channel.endswith("current_a") for channel in run.channels])
     floor = np.where(electric, np.fmax(repeated, estimated), repeated)
-    # Copies of a log differ in nothing, which tells nothing of chance.
     return np.where(floor > 0, floor, estimated)
 
 
@@ -278,7 +277,7 @@ def _repetitions(replays: Sequence[Replays]) -> Array | None:
     """Half the mean square difference of replay errors between runs of one manoeuvre.
 
     By windows of one second (windows, channels). The model's error is the same in both and cancels;
-    what is left is chance. None without a window that both runs have sampled.
+    what is left is chance. None where no window tells of it.
     """
     found = [
         _halved_difference(one, other)
@@ -286,7 +285,7 @@ def _repetitions(replays: Sequence[Replays]) -> Array | None:
         if _repeats(one.run, other.run)
     ]
     windows = np.concatenate([np.empty((0, len(replays[0].run.channels))), *found])
-    windows = windows[~np.isnan(windows).all(axis=1)]
+    windows = windows[(windows > 0).any(axis=1)]  # copies of a log differ in nothing
     return windows if len(windows) else None
 
 
