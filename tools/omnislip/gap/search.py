@@ -171,12 +171,12 @@ def search(
         found = _try(data, current, worth, step, tried, gained, progress)
         trials += [trial for trial, _ in found]
         accepted = next((fitted for trial, fitted in found if trial.accepted), None)
-        if accepted is None and len(current.hypothesis.effects) + 2 <= MOST_EFFECTS:
+        if accepted is None:
             ahead = _Ahead(data, current, candidates, step, tried, gained, progress)
-            pair = ahead.best_pair(found)
+            further = ahead.best(found)
             trials += ahead.trials
-            if pair is not None:
-                data, current, accepted = pair.data, pair.without, pair.fitted
+            if further is not None:
+                data, current, accepted = further.data, further.without, further.fitted
         if accepted is None:
             break
         gain = current.objective - accepted.objective
@@ -483,43 +483,62 @@ def _try(
     checks = check_unseen(data, current, [fitted for _, fitted, _ in results])
     found: list[tuple[Trial, Fit]] = []
     for (candidate, fitted, evidence), check in zip(results, checks, strict=True):
-        values = fitted.hypothesis.values_of(len(current.hypothesis.effects))
-        absent = _neutral(candidate, data.machine, {})
-        chance = min(1.0, evidence.p_value * tried)
-        reason, passed = _verdict(data, evidence, chance, check, gained)
-        if passed and not _differs(candidate, values - absent, evidence):
-            reason, passed = "its size cannot be told from none beside the other parameters", False
-        sure = evidence.beyond_chance > SURE_GAIN
-        if passed and not _replays_better(data, current, fitted, sure):
-            reason, passed = (
-                "helps the predictor but not replays of runs that were not fitted",
-                False,
-            )
-        if passed and _within_row(data, candidate, values):
-            reason, passed = "shorter than the log can time: a tenth of a row", False
-        taken = next((trial for trial, _ in found if trial.accepted), None)
-        if passed and taken:
-            reason, passed = f"explains less than {taken.candidate.name}", False
-        trial = Trial(step, candidate, values, evidence, chance, check.gain, reason, passed)
+        trial = _judge(data, current, fitted, candidate, evidence, check, step, tried, gained)
+        taken = next((one for one, _ in found if one.accepted), None)
+        if trial.accepted and taken:
+            reason = f"explains less than {taken.candidate.name}"
+            trial = replace(trial, accepted=False, reason=reason)
         found.append((trial, fitted))
     return found
 
 
+def _judge(
+    data: Data,
+    without: Fit,
+    fitted: Fit,
+    candidate: Candidate,
+    evidence: Evidence,
+    check: Check,
+    step: int,
+    tried: int,
+    gained: float,
+) -> Trial:
+    """Judge the last effect of a model against the model `without` it."""
+    values = fitted.hypothesis.values_of(len(without.hypothesis.effects))
+    absent = _neutral(candidate, data.machine, {})
+    chance = min(1.0, evidence.p_value * tried)
+    reason, passed = _verdict(data, evidence, chance, check, gained)
+    if passed and not _differs(candidate, values - absent, evidence):
+        reason, passed = "its size cannot be told from none beside the other parameters", False
+    sure = evidence.beyond_chance > SURE_GAIN
+    if passed and not _replays_better(data, without, fitted, sure):
+        reason, passed = "helps the predictor but not replays of runs that were not fitted", False
+    if passed and _within_row(data, candidate, values):
+        reason, passed = "shorter than the log can time: a tenth of a row", False
+    return Trial(step, candidate, values, evidence, chance, check.gain, reason, passed)
+
+
 @dataclass(frozen=True)
-class _Pair:
-    """A model with two more effects, and that without them, by the noise that fits the first."""
+class _Further:
+    """A model with one or two more effects, and that without them, by the noise that fits the
+    first."""
 
     data: Data
     without: Fit
     fitted: Fit
-    first: Candidate
-    second: Trial
+    trial: Trial
+
+    def gain(self) -> float:
+        """Fall of Q: by another noise Q itself is another."""
+        return self.without.objective - self.fitted.objective
 
 
 class _Ahead:
-    """One step further where none was taken: two defects may each be refused without the other.
+    """One step further where none was taken.
 
-    The noise is tuned again with the first of them: noise that covers both hides the second.
+    Each of the best is judged again by the noise that is left beside it: noise that was tuned
+    without an effect covers it and pulls its size. And two defects may each be refused without the
+    other, so a second one is tried beside it.
     """
 
     def __init__(
@@ -533,68 +552,93 @@ class _Ahead:
         progress: Progress,
     ) -> None:
         self._data, self._current = data, current
-        self._candidates, self._step, self._tried = candidates, step, tried
+        self._candidates, self._step, self._tried = candidates, step, tried * BEAM
         self._gained, self._progress = gained, progress
         self.trials: list[Trial] = []
 
-    def best_pair(self, refused: Sequence[tuple[Trial, Fit]]) -> _Pair | None:
-        """Return the best model with two more effects, the first one of `refused`, or None."""
+    def best(self, refused: Sequence[tuple[Trial, Fit]]) -> _Further | None:
+        """Return the best model with one of `refused`, or with one of them and a second effect."""
         hopeful = [
             (trial, fitted)
             for trial, fitted in refused
             if trial.evidence.beyond_chance > AHEAD_GAIN
         ]
         hopeful = sorted(hopeful, key=lambda pair: pair[1].objective)[:BEAM]
-        passed = [pair for trial, one in hopeful for pair in self._pairs(trial.candidate, one)]
-        best = min(passed, key=lambda pair: pair.fitted.objective, default=None)
-        if best is not None:
-            reason = f"{best.first.name} and this pass together"
-            taken = replace(best.second, accepted=True, reason=reason)
-            self.trials = [taken if trial is best.second else trial for trial in self.trials]
+        firsts = [self._by_its_noise(trial.candidate, fitted) for trial, fitted in hopeful]
+        passed = [first for first in firsts if first.trial.accepted]
+        if not passed and len(self._current.hypothesis.effects) + 2 <= MOST_EFFECTS:
+            passed = [pair for first in firsts for pair in self._pairs(first)]
+        best = max(passed, key=_Further.gain, default=None)
+        self.trials = [
+            replace(trial, accepted=best is not None and trial is best.trial)
+            for trial in self.trials
+        ]
         return best
 
-    def _pairs(self, candidate: Candidate, fitted: Fit) -> list[_Pair]:
+    def _by_its_noise(self, candidate: Candidate, fitted: Fit) -> _Further:
+        self._progress(f"step {self._step}: looking ahead from {candidate.name}")
+        machine, noise = self._data.machine, self._data.noise
+        data, first = settle(machine, self._data.runs, fitted.hypothesis, noise)
+        without = fit(data, self._current.hypothesis)
+        evidence = weigh(data, without, first, len(without.hypothesis.effects))
+        [check] = check_unseen(data, without, [first])
+        trial = _judge(
+            data,
+            without,
+            first,
+            candidate,
+            evidence,
+            check,
+            self._step,
+            self._tried,
+            self._gained,
+        )
+        trial = replace(trial, reason=f"by the noise that is left beside it: {trial.reason}")
+        self.trials.append(trial)
+        return _Further(data, without, first, trial)
+
+    def _pairs(self, first: _Further) -> list[_Further]:
         """Return the models with this effect and a second one that pass.
 
         The second is judged only when both are fitted: a patch in the floor, say, lies somewhere
         else beside the right friction curve.
         """
-        machine, noise = self._data.machine, self._data.noise
-        self._progress(f"step {self._step}: looking ahead from {candidate.name}")
-        data, first = settle(machine, self._data.runs, fitted.hypothesis, noise)
-        others = [c for c in self._candidates if c.name != candidate.name]
-        worth = [s for s in screen(data, first, others)[:BEAM_REFITS] if s.promise > LEAST_PROMISE]
-        tried = self._tried * BEAM * BEAM
-        found = _try(data, first, worth, self._step, tried, self._gained, self._progress)
-        found = [(_looked_at(trial, candidate), fitted) for trial, fitted in found]
-        self.trials += [trial for trial, _ in found]
-        found.sort(key=lambda pair: -pair[0].evidence.beyond_chance)
-        without = fit(data, self._current.hypothesis)
-        pairs = [
-            _Pair(data, without, _patch_again(data, fit(data, second.hypothesis)), candidate, trial)
-            for trial, second in found[:BEAM]
+        data, name = first.data, first.trial.candidate.name
+        others = [c for c in self._candidates if c.name != name]
+        worth = [
+            s for s in screen(data, first.fitted, others)[:BEAM_REFITS] if s.promise > LEAST_PROMISE
         ]
-        return [pair for pair in pairs if _both_pass(pair, tried)]
+        tried = self._tried * BEAM
+        found = _try(data, first.fitted, worth, self._step, tried, self._gained, self._progress)
+        found.sort(key=lambda pair: -pair[0].evidence.beyond_chance)
+        pairs = []
+        for place, (trial, fitted) in enumerate(found):
+            trial = replace(trial, reason=f"beside {name}: {trial.reason}")
+            if place < BEAM:
+                both = _patch_again(data, fit(data, fitted.hypothesis))
+                if _both_pass(data, first.without, both, tried):
+                    trial = replace(trial, reason=f"{name} and this pass together")
+                    pairs.append(_Further(data, first.without, both, trial))
+            self.trials.append(trial)
+        return pairs
 
 
-def _looked_at(trial: Trial, first: Candidate) -> Trial:
-    """Return a trial beside a first effect that was refused: neither is taken yet."""
-    return replace(trial, accepted=False, reason=f"beside {first.name}: {trial.reason}")
-
-
-def _both_pass(pair: _Pair, tried: int) -> bool:
+def _both_pass(data: Data, without: Fit, both: Fit, tried: int) -> bool:
     """Whether two effects together help runs that were not fitted, and none of them is chance."""
-    [check] = check_unseen(pair.data, pair.without, [pair.fitted])
+    [check] = check_unseen(data, without, [both])
     if not check.helps:
         return False
-    both = pair.fitted.hypothesis
-    count, sure = len(pair.without.hypothesis.effects), True
+    count, sure = len(without.hypothesis.effects), True
     for index in (count, count + 1):
-        evidence = weigh(pair.data, fit(pair.data, both.without(index)), pair.fitted, index)
-        if evidence.p_value * tried >= ALPHA or evidence.beyond_chance < pair.data.feigned_gain:
+        effect, sizes = both.hypothesis.effects[index], both.hypothesis.values_of(index)
+        evidence = weigh(data, fit(data, both.hypothesis.without(index)), both, index)
+        if evidence.p_value * tried >= ALPHA or evidence.beyond_chance < data.feigned_gain:
+            return False
+        absent = _neutral(effect, data.machine, {})
+        if not _differs(effect, sizes - absent, evidence) or _within_row(data, effect, sizes):
             return False
         sure = sure and evidence.beyond_chance > SURE_GAIN
-    return _replays_better(pair.data, pair.without, pair.fitted, sure)
+    return _replays_better(data, without, both, sure)
 
 
 def _patch_again(data: Data, fitted: Fit) -> Fit:
@@ -789,6 +833,10 @@ def _takes_its_place(
     """Whether a rival explains clearly more than an effect, or loses only what chance gives."""
     own = len(without.hypothesis.effects)
     evidence = weigh(data, without, rival, own)
+    [check] = check_unseen(data, without, [rival])
+    sizes = rival.hypothesis.values_of(own)
+    if not check.helps or _within_row(data, rival.hypothesis.effects[own], sizes):
+        return False
     spared = len(effect.parameters) - len(rival.hypothesis.effects[own].parameters)
     if spared > 0 and _no_more_than_chance(judged.gain - evidence.gain, judged.inflation, spared):
         return True
