@@ -9,6 +9,8 @@ from axis_bench import Bench, make_log, model_text
 from omnislip.gap.truth import TruthCase, write_case
 from omnislip.log_file import Log, write_log
 from omnislip.model_file import NOMINAL_ROBOT
+from omnislip.scenario import read_scenario
+from omnislip.simulate import simulate_truth
 
 ROBOT_TEXT = NOMINAL_ROBOT.read_text()
 
@@ -79,7 +81,44 @@ def test_results_of_an_earlier_run_are_replaced(omnislip, axis_files, tmp_path):
     assert len(files_below(tmp_path / "gap")) == 3
 
 
-COMMANDS = ["find", "evaluate", "benchmark"]
+PATCH = {"x_min_m": 0.2, "x_max_m": 0.6, "scale": 0.5}
+
+
+def gap_json(folder, name, rival, sizes):
+    """A gap.json whose only effect cannot be told from a rival."""
+    parameters = {label: {"value": value} for label, value in sizes.items()}
+    found = {"name": name, "wheel": None, "parameters": parameters, "ambiguous_with": [rival]}
+    path = folder / "gap.json"
+    path.write_text(json.dumps({"effects": [found], "gap": None}))
+    return path
+
+
+def test_plan_drives_over_the_patch_that_a_gap_json_names(omnislip, tmp_path):
+    path = gap_json(tmp_path, "slippery_patch", "low_grip", PATCH)
+    ended = omnislip("gap", "plan", "--robot", NOMINAL_ROBOT, "--out", "plan", "--gap", path)
+    assert ended.status == 0
+    assert "telling apart slippery_patch, low_grip" in ended.stdout
+    [written] = (tmp_path / "plan").iterdir()
+    best = read_scenario(written)
+    assert f"{best.name}: " in ended.stdout
+    assert f"rehearse it: omnislip simulate plan/{written.name}" in ended.stdout
+    body_x_m = simulate_truth(best)["pose"][:, 0]
+    assert np.any((body_x_m > PATCH["x_min_m"]) & (body_x_m < PATCH["x_max_m"]))
+
+
+def test_plan_knows_an_effect_that_the_robot_file_defines(omnislip, tmp_path):
+    definition = (NOMINAL_ROBOT.parents[1] / "effects" / "cubic_wheel_drag.toml").read_text()
+    (tmp_path / "own.toml").write_text(f"{ROBOT_TEXT}\n{definition}")
+    names = ["cubic_wheel_drag", "quadratic_wheel_drag"]
+    ended = omnislip("gap", "plan", "--robot", "own.toml", "--out", "plan", "--json", *names)
+    assert ended.status == 0
+    result = json.loads(ended.stdout)
+    assert result["effects"] == names
+    assert result["manoeuvres"][0]["expected_separation"] > 0
+    assert (tmp_path / result["scenario"]).is_file()
+
+
+COMMANDS = ["find", "plan", "evaluate", "benchmark"]
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -257,6 +296,28 @@ def test_files_that_are_not_there_are_named(omnislip, robot_csv, tmp_path):
     assert_refused(ended, ["none.toml"])
     ended = omnislip("gap", "find", "--robot", NOMINAL_ROBOT, "--out", "gap", "none.csv")
     assert_refused(ended, ["none.csv"])
+
+
+NO_PLANS = {
+    "of an effect of one's own": (["cubic_wheel_drag", "dead_zone"], ["robot file"]),
+    "of a patch without a place": (["slippery_patch", "low_grip"], ["slippery_patch", "--gap"]),
+    "of one effect": (["dead_zone"], ["at least two"]),
+    "of nothing": ([], ["--gap"]),
+}
+
+
+@pytest.mark.parametrize("case", NO_PLANS)
+def test_what_cannot_be_planned_is_one_line(case, omnislip, tmp_path):
+    names, expected = NO_PLANS[case]
+    ended = omnislip("gap", "plan", "--robot", NOMINAL_ROBOT, "--out", "plan", *names)
+    assert_refused(ended, expected)
+    assert files_below(tmp_path) == []
+
+
+def test_a_gap_json_with_a_patch_as_rival_only_cannot_be_planned_for(omnislip, tmp_path):
+    path = gap_json(tmp_path, "low_grip", "slippery_patch", {"scale": 0.8})
+    ended = omnislip("gap", "plan", "--robot", NOMINAL_ROBOT, "--out", "plan", "--gap", path)
+    assert_refused(ended, ["slippery_patch"])
 
 
 def test_unknown_class_of_the_benchmark_is_named(omnislip):

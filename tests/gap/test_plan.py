@@ -164,6 +164,17 @@ def test_what_the_logs_know_already_counts():
     assert best.separation > alone > 0
 
 
+def test_a_patch_among_the_rivals_ends_no_search():
+    """Nothing is planned against what may be anywhere."""
+    truth, own = truth_of("low_grip", [0.8])
+    model = replace(MODEL, effects=[MACHINE.effect_of(own, [0.8])])
+    run = noisy(model, "headings")
+    noise = first_guess(MACHINE, [run])
+    data = planning.Data(MACHINE, [run], noise, truth.flat(MACHINE.believed))
+    rivals = ["body_drag", "slippery_patch"]
+    assert planning.separating_manoeuvre(MACHINE, data, truth, 0, rivals) is None
+
+
 # ---- files and words ----
 
 

@@ -68,6 +68,8 @@ NEEDS = {"pendulum_zero_error": "axis.pendulum_mass_kg"}
 PHASE = "phase_rad"
 CURVE = "contact_shape"
 """The effect that is another friction curve."""
+PATCH = "slippery_patch"
+"""The effect that has a place in the floor."""
 POSE_X, LEAST_POSES = 5, 50
 PLACES = 25
 # A size that is infinite when absent (stiffness, limit) is sought up to so many typical ones: a
@@ -168,20 +170,18 @@ class Machine:
             return []
         x_m = np.concatenate([run.outputs[:, POSE_X] for run in runs])
         x_m = x_m[~np.isnan(x_m)]
-        if x_m.size < LEAST_POSES:
-            return []
+        return [self.patch(x_m)] if x_m.size >= LEAST_POSES else []
+
+    def patch(self, x_m: Array) -> Candidate:
+        """Return a patch in the floor with starts from the places x_m (rows,) of the body."""
         edges = [x_m.min() - 0.1, *np.percentile(x_m, (15, 30, 45, 60, 75, 90)), x_m.max() + 0.1]
         spans = [(a, b) for i, a in enumerate(edges) for b in edges[i + 1 :]]
         labels = ("x_min_m", "x_max_m", "scale")
-        entries = {p["name"]: p for p in self.catalogue["slippery_patch"]["parameters"]}
-        parameters = [self._effect_parameter("slippery_patch", entries[n], None) for n in labels]
+        entries = {p["name"]: p for p in self.catalogue[PATCH]["parameters"]}
+        parameters = [self._effect_parameter(PATCH, entries[n], None) for n in labels]
         starts = tuple({0: float(a), 1: float(b)} for a, b in spans if b - a < edges[-1] - edges[0])
         places = np.linspace(edges[0], edges[-1], PLACES)
-        return [
-            Candidate(
-                "slippery_patch", None, tuple(parameters), (2,), starts, tuple(places.tolist())
-            )
-        ]
+        return Candidate(PATCH, None, tuple(parameters), (2,), starts, tuple(places.tolist()))
 
     def extensions(self, effect: str) -> list[Candidate]:
         """Return what refines an effect that is already in the model: not an effect of its own."""

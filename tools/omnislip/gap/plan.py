@@ -33,7 +33,7 @@ from scipy.stats import norm
 from omnislip.errors import InputError
 from omnislip.files import nearest, write_text
 from omnislip.gap.inference import Data, Fit, Hypothesis, fit, linearise, objective
-from omnislip.gap.machine import Candidate, Machine
+from omnislip.gap.machine import PATCH, Candidate, Machine
 from omnislip.gap.noise import Noise, first_guess
 from omnislip.gap.recordings import (
     ELECTRIC_CHANNELS,
@@ -327,10 +327,11 @@ def separating_manoeuvre(
 ) -> Separation | None:
     """Return the manoeuvre that tells effect `index` of the final model from its rivals.
 
-    Uses what the logs of `data` say of the rivals. None if there is nothing to drive or no gain, or
-    if the firmware cannot drive this robot: its numbers do not fit the firmware's formats.
+    Uses what the logs of `data` say of the rivals. None if there is nothing to drive or no gain, if
+    a rival is a patch in the floor that may be anywhere, or if the firmware cannot drive this
+    robot: its numbers do not fit the firmware's formats.
     """
-    if machine.kind != "robot":
+    if machine.kind != "robot" or PATCH in rivals:
         return None
     blank = [
         c
@@ -362,6 +363,11 @@ def plan(
     names, sizes = list(dict.fromkeys(question.names)), question.sizes
     if len(names) < 2:
         raise InputError("gap plan needs at least two effects to tell apart")
+    if PATCH in names and PATCH not in sizes:
+        raise InputError(
+            f"{PATCH}: nobody knows where to drive for a patch that may be anywhere; it can be "
+            "planned for with a gap.json whose effects name it with its place (--gap)"
+        )
     plain = Machine(model)
     taken = {(c.effect, c.wheel) for c in (_named(plain, name) for name in names)}
     kept = [e for e in model.effects if (e.name, e.wheel) not in taken]
@@ -443,9 +449,12 @@ def _rate_of(run: Run) -> int:
 
 
 def _named(machine: Machine, name: str) -> Candidate:
-    known = {candidate.name: candidate for candidate in machine.candidates()}
+    """The candidate of a name; of a patch in the floor the question says the place."""
+    candidates = [*machine.candidates(), machine.patch(np.zeros(1))]
+    known = {candidate.name: candidate for candidate in candidates}
     if name not in known:
-        raise InputError(f"unknown effect '{name}'{nearest(name, known)}")
+        own = "; an effect of your own has to be defined in the robot file"
+        raise InputError(f"unknown effect '{name}'{nearest(name, known)}{own}")
     return known[name]
 
 
