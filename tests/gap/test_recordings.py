@@ -101,6 +101,7 @@ def test_a_piece_of_a_log_is_the_rows_asked_for():
     log = log_of(np.array([1.0, 0.0, 0.0]))
     piece = make_run(ROBOT, log, 8, 16)
     np.testing.assert_array_equal(piece.t_s, log.t_s[8:16])
+    np.testing.assert_allclose(piece.time_s, 0.005 * np.arange(8, 16))
     counts = unwrap_counts(log.columns["wheel/1/encoder_counts"])[8:16]
     np.testing.assert_allclose(piece.outputs[:, 0], counts * RAD_PER_COUNT)
     assert piece.recording.rows == 8

@@ -11,7 +11,7 @@ from omnislip.gap.recordings import make_run
 from omnislip.gap.search import believed_hypothesis, settle
 from omnislip.gap.truth import TruthCase, write_case
 from omnislip.gap.unknown import Curve, Quantity, describe_unknown, equations, propose
-from omnislip.log_file import read_log
+from omnislip.log_file import Log, read_log
 from omnislip.model_file import NOMINAL_ROBOT, read_model
 
 
@@ -31,15 +31,27 @@ def hidden(tmp_path, name, parameters, wheel=None):
     return machine, runs
 
 
+def begun_later(log, rows):
+    """A log as if the recorder had been switched on some rows later."""
+    later = {name: column[rows:] for name, column in log.columns.items()}
+    return Log(log.name, log.t_s[rows:] - log.t_s[rows], later)
+
+
 def described(machine, runs):
     """What the description says beside the believed model, its keys refitted."""
     data, fitted = settle(machine, runs, believed_hypothesis(machine))
     return describe_unknown(SimpleNamespace(data=data, final=fitted))
 
 
-def test_beat_in_time_is_found_with_its_frequency_and_size(tmp_path):
-    """0.2 N m |duty| sin(2 pi 7.3 Hz t) on every shaft."""
-    machine, runs = hidden(tmp_path, "pwm_beat", {"torque_nm": 0.2, "frequency_hz": 7.3})
+@pytest.mark.parametrize("shift_rows", [0, 31])
+def test_beat_in_time_is_found_with_its_frequency_and_size(tmp_path, shift_rows):
+    """0.2 N m |duty| sin(2 pi 7.3 Hz t) on every shaft; its phase is another in every log, or not.
+
+    31 rows of 5 ms are 1.13 periods.
+    """
+    machine, _ = hidden(tmp_path, "pwm_beat", {"torque_nm": 0.2, "frequency_hz": 7.3})
+    logs = [read_log(path, "robot") for path in sorted(tmp_path.glob("run_*.csv"))]
+    runs = [make_run(machine, begun_later(log, k * shift_rows)) for k, log in enumerate(logs)]
     found = described(machine, runs)
     assert found.equation == "every wheel/torque"
     assert "7.3 Hz" in found.dependence

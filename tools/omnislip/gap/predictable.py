@@ -167,7 +167,7 @@ def _foreseen(run: Run, track: _core.Track) -> Array:
 
 def _features(run: Run, state: Array, gear: float) -> Array:
     """What a missing force may depend on (rows, features)."""
-    command, time_s = run.command, run.t_s - run.t_s[0]
+    command, time_s = run.command, run.time_s
     earlier = [
         np.stack([np.interp(time_s - past, time_s, column) for column in command.T], axis=1)
         for past in PAST_S

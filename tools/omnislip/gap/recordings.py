@@ -48,6 +48,14 @@ class Run:
     """Rows (rows,) in which the drive of an axis is switched off; `command` is 0 there."""
     unit: str = ""
     """Runs of a unit have things in common by chance: they are left out together."""
+    log_begin_s: float = 0.0
+    """`t_s` of the first row of the log."""
+
+    @property
+    def time_s(self) -> Array:
+        """Time (rows,) since the log began, also of a piece: what drifts goes on from piece to
+        piece."""
+        return self.t_s - self.log_begin_s
 
     @property
     def duration_s(self) -> float:
@@ -78,7 +86,16 @@ def make_run(machine: Machine, log: Log, begin: int = 0, end: int | None = None)
     # The engine reads a blank command as "drive off"; for everybody else that is no command.
     off = np.isnan(command[:, 0])
     return Run(
-        log.name, t_s, np.nan_to_num(command), outputs, channels, scale, recording, off, log.name
+        log.name,
+        t_s,
+        np.nan_to_num(command),
+        outputs,
+        channels,
+        scale,
+        recording,
+        off,
+        log.name,
+        float(log.t_s[0]),
     )
 
 
@@ -97,7 +114,17 @@ def _odometry_run(machine: Machine, log: Log, rows: slice, t_s: Array) -> Run:
     padded = np.zeros((len(t_s), machine.engine.motors))
     padded[:, : machine.wheels] = rates
     recording = machine.engine.recording(t_s, padded, pose, first)
-    return Run(log.name, t_s, rates, pose, ODOMETRY_CHANNELS, np.ones(3), recording, unit=log.name)
+    return Run(
+        log.name,
+        t_s,
+        rates,
+        pose,
+        ODOMETRY_CHANNELS,
+        np.ones(3),
+        recording,
+        unit=log.name,
+        log_begin_s=float(log.t_s[0]),
+    )
 
 
 def machine_for(model: Model, logs: Sequence[Log]) -> Machine:

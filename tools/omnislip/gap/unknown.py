@@ -6,7 +6,7 @@ innovations is linear (rows.py), so the f_j follow by least squares beside the f
 with their covariance. Every pair of equation and quantity is tried; the one that explains most, of
 each run by the curve that fits the others, is shown. A regular beat in time is looked for in the
 spectrum of the filter's disturbances and then fitted as a wave, alone or in proportion to the
-command.
+command; every run has its own phase of it.
 
 A short formula for the curve is a hypothesis for people to judge: the one or two shapes of a list
 with the smallest BIC.
@@ -34,7 +34,8 @@ OUTER = (1.0, 99.0)
 """Percentiles of the quantity at which its curve ends."""
 FREQUENCIES_HZ = np.geomspace(0.7, 40.0, 600)
 PEAK = 12.0
-"""Power of a beat over the median of its spectrum (6.6 is the largest of 600 by chance, 1 %)."""
+"""Power of a beat over the median of its spectrum (6.6 is the largest of 600 by chance in one run,
+1 %)."""
 SLOW_SHARE, SLOW_RAD_S = 0.02, 2.0
 SHAFT_TORQUE = "torque"
 DISTURBANCES = 14
@@ -56,6 +57,8 @@ class Quantity:
     period: float | None = None
     frequency_hz: float | None = None
     """Of a wave: the quantity is then what the wave is in proportion to."""
+    phases_rad: Array | None = None
+    """Of a wave: its phase (runs,) when the log began: no beat waits for the recorder."""
 
 
 @dataclass(frozen=True)
@@ -167,6 +170,8 @@ class _Study:
         inflation = inflation_of(self._data, free, after, gram)
         check = check_columns(self._data, self._fitted.residual, free)
         gain = float(sizes @ gram @ sizes)
+        phases = 0 if quantity.phases_rad is None else len(quantity.phases_rad)
+        freedom = np.linalg.matrix_rank(gram, hermitian=True) + phases
         sign = -1.0 if equation.outputs else 1.0  # a sensor shows it, a state is pushed by it
         return Curve(
             name,
@@ -176,7 +181,7 @@ class _Study:
             sign * equation.size * sizes,
             equation.size**2 * inflation * inverse,
             gain,
-            float(chi2.sf(gain / inflation, np.linalg.matrix_rank(gram, hermitian=True))),
+            float(chi2.sf(gain / inflation, freedom)),
             check.gain,
             check.helps,
         )
@@ -189,7 +194,7 @@ class _Study:
             return np.linspace(0.0, quantity.period, KNOTS)[:-1]
         values = np.concatenate(
             [
-                quantity.of(state, run.command, run.t_s - run.t_s[0], one.motor)
+                quantity.of(state, run.command, run.time_s, one.motor)
                 for one in members
                 for run, state in self._states()
             ]
@@ -204,8 +209,13 @@ class _Study:
     def _columns(self, equation: Equation, quantity: Quantity, knots: Array) -> Array:
         """Whitened change of the innovations by a unit at each knot (m, knots)."""
         data, found = self._data, []
-        for (run, state), track in zip(self._states(), self._tracks, strict=True):
-            hats = _hats(quantity, knots, run, state, equation.motor)
+        phases_rad = (
+            np.zeros(len(data.runs)) if quantity.phases_rad is None else quantity.phases_rad
+        )
+        for (run, state), track, phase_rad in zip(
+            self._states(), self._tracks, phases_rad, strict=True
+        ):
+            hats = _hats(quantity, knots, run, state, equation.motor, phase_rad)
             push = np.zeros((*state.shape, hats.shape[1]))
             shown = np.zeros((*run.outputs.shape, hats.shape[1]))
             for index, rate in equation.push(state).items():
@@ -228,28 +238,32 @@ class _Study:
             "the size of the command": lambda x, d, t, i: np.abs(d[:, i]),
         }
         for name, weight in weights.items():
-            power = self._power(members, weight, FREQUENCIES_HZ)
+            power = _power(self._spectra(members, weight, FREQUENCIES_HZ))
             peak = int(np.argmax(power))
             if power[peak] > PEAK * np.median(power):
                 near = FREQUENCIES_HZ[peak] * np.linspace(0.99, 1.01, 41)
-                best = near[int(np.argmax(self._power(members, weight, near)))]
-                found.append(Quantity(name, "1", weight, None, float(best)))
+                spectra = self._spectra(members, weight, near)
+                best = int(np.argmax(_power(spectra)))
+                phases_rad = np.angle(spectra[:, :, best].sum(axis=1))
+                found.append(Quantity(name, "1", weight, None, float(near[best]), phases_rad))
         return found
 
-    def _power(
+    def _spectra(
         self, members: Sequence[Equation], weight: Callable[..., Array], frequencies_hz: Array
-    ) -> Array:
-        """Power of the weighted disturbances of some equations at each frequency."""
-        power = np.zeros(len(frequencies_hz))
-        for one in members:
-            total = np.zeros(len(frequencies_hz), dtype=complex)
-            for run, state in self._states():
-                seen = state[:, DISTURBANCES + one.motor]
-                turn = np.exp(-2j * np.pi * np.outer(frequencies_hz, run.t_s - run.t_s[0]))
-                own = weight(state, run.command, run.t_s, one.motor)
-                total += turn @ (own * (seen - seen.mean()))
-            power += np.abs(total) ** 2
-        return power
+    ) -> npt.NDArray[np.complex128]:
+        """Fourier sums (runs, equations, frequencies) of the weighted disturbances."""
+        spectra = []
+        for run, state in self._states():
+            turn = np.exp(-2j * np.pi * np.outer(frequencies_hz, run.time_s))
+            seen = state[:, [DISTURBANCES + one.motor for one in members]]
+            weights = [weight(state, run.command, run.time_s, one.motor) for one in members]
+            spectra.append((turn @ (np.stack(weights, axis=1) * (seen - seen.mean(axis=0)))).T)
+        return np.stack(spectra)
+
+
+def _power(spectra: npt.NDArray[np.complex128]) -> Array:
+    """Power (frequencies,) of all runs and equations, whatever their phases."""
+    return np.sum(np.abs(spectra) ** 2, axis=(0, 1))
 
 
 def _every(name: str) -> str:
@@ -258,12 +272,13 @@ def _every(name: str) -> str:
     return f"every {first}/{last}"
 
 
-def _hats(quantity: Quantity, knots: Array, run: Run, state: Array, motor: int) -> Array:
+def _hats(
+    quantity: Quantity, knots: Array, run: Run, state: Array, motor: int, phase_rad: float
+) -> Array:
     """Value of each knot's hat function in every row (rows, knots); of a wave its two phases."""
-    time_s = run.t_s - run.t_s[0]
-    q = quantity.of(state, run.command, time_s, motor)
+    q = quantity.of(state, run.command, run.time_s, motor)
     if quantity.frequency_hz is not None:
-        angle = 2.0 * np.pi * quantity.frequency_hz * time_s
+        angle = 2.0 * np.pi * quantity.frequency_hz * run.time_s + phase_rad
         return np.stack([q * np.sin(angle), q * np.cos(angle)], axis=1)
     count = len(knots)
     if quantity.period is not None:
@@ -491,12 +506,13 @@ def _wave(best: Curve, y_label: str) -> Unknown:
     phase = float(np.arctan2(best.sizes[1], best.sizes[0]))
     times = f" times {best.quantity.name}" if best.quantity.name else ""
     x = np.linspace(0.0, 1.0 / frequency, 25)
-    basis = np.stack([np.sin(2 * np.pi * frequency * x), np.cos(2 * np.pi * frequency * x)], axis=1)
+    angle = 2 * np.pi * frequency * x - phase
+    basis = np.stack([np.sin(angle), np.cos(angle)], axis=1)
     y = basis @ best.sizes
     deviation = np.sqrt(np.einsum("ij,jk,ik->i", basis, best.covariance, basis))
     formula = (
         f"{best.equation.symbol} / ({best.equation.unit}) = {amplitude:.3g} "
-        f"sin(2 pi {frequency:.3g} t/s {phase:+.2f})" + (f" *{times[6:]}" if times else "")
+        f"sin(2 pi {frequency:.3g} t/s + phase of the run)" + (f" *{times[6:]}" if times else "")
     )
     return Unknown(
         best.name,
