@@ -102,7 +102,8 @@ def findings_of(machine, verdict, effects=(), rivals=()):
     table = GapTable(channels, rmse, floor, "repeated manoeuvres", closed, left, ("run_03",))
     shares = np.arange(len(equations), 0.0, -1.0)
     excess = np.outer(np.ones(120), shares)
-    gap_map = Map(equations, (fitting.t_s, checking.t_s), (excess, excess), shares / shares.sum())
+    times, states = (fitting.t_s, checking.t_s), (np.zeros((120, 21)),) * 2
+    gap_map = Map(equations, times, (excess, excess), shares / shares.sum(), states)
     shape = Leftover(equations[0], "once per turn", 812.5, 1.5, 1e-9, 20.0)
     place = Place(equations[0], "at low speed", 0.4, (("run_01", 0.25, 0.5),))
     added = [Effect(e.effect, dict.fromkeys(("size",), 1.0), e.wheel) for e in effects]

@@ -1,5 +1,7 @@
 """Where the gap sits: an excess that is put somewhere is found there, and described so."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from axis_bench import Bench, make_machine, make_runs, silent
@@ -38,7 +40,14 @@ def made_up_map(run, equation, inside, inside_share=1.0):
     excess[inside, column] = inside_share / inside.sum()
     excess[~inside, column] = (1 - inside_share) / max((~inside).sum(), 1)
     shares = excess.sum(axis=0) / excess.sum()
-    return Map(EQUATIONS, (run.t_s,), (excess,), shares)
+    return Map(EQUATIONS, (run.t_s,), (excess,), shares, (made_up_states(run),))
+
+
+def made_up_states(run):
+    """Filtered states in which each quantity of the body has a rhythm of its own."""
+    states = np.zeros((len(run.t_s), 21))
+    states[:, 8:13] = np.sin(np.outer(run.t_s, [1.7, 2.9, 4.3, 5.9, 7.1]) + 0.3)
+    return states
 
 
 def speed_of(run, wheel):
@@ -69,6 +78,48 @@ def test_an_excess_is_found_at_its_wheel_and_in_its_condition(condition, wheel):
     assert place.condition.startswith(condition)
 
 
+BODY_CONDITIONS = {
+    "while the body moves fast along x": lambda states: np.abs(states[:, 8]) > 0.9,
+    "while the body moves little along y": lambda states: np.abs(states[:, 9]) < 0.2,
+    "turning fast": lambda states: np.abs(states[:, 10]) > 0.9,
+    "where x is small": lambda states: states[:, 11] < -0.7,
+    "where y is large": lambda states: states[:, 12] > 0.7,
+}
+
+
+@pytest.mark.parametrize("equation", ["body/force_y", "pose/heading"])
+@pytest.mark.parametrize("condition", BODY_CONDITIONS)
+def test_an_excess_of_the_body_is_found_in_its_own_motion(condition, equation):
+    run = made_up_run()
+    inside = BODY_CONDITIONS[condition](made_up_states(run))
+    [place] = describe([run], made_up_map(run, equation, inside))
+    assert place.condition.startswith(condition)
+
+
+def test_without_a_camera_no_place_is_named():
+    run = made_up_run()
+    inside = BODY_CONDITIONS["where x is small"](made_up_states(run))
+    run.outputs[:, 5:8] = np.nan
+    [place] = describe([run], made_up_map(run, "body/force_y", inside))
+    assert not place.condition.startswith("where")
+
+
+def test_late_in_the_run_is_late_in_the_log_of_which_runs_are_parts():
+    """One log of 6 s in four parts, as a single log is cut; the excess is in the last one."""
+    whole = made_up_run()
+    rows = [slice(k, k + ROWS // 4) for k in range(0, ROWS, ROWS // 4)]
+    runs = [
+        replace(whole, t_s=whole.t_s[r], command=whole.command[r], outputs=whole.outputs[r])
+        for r in rows
+    ]
+    found = made_up_map(whole, "wheel/2/torque", whole.t_s > 0.8 * whole.t_s[-1])
+    t_s, excess, states = (
+        tuple(column[0][r] for r in rows) for column in (found.t_s, found.excess, found.states)
+    )
+    [place] = describe(runs, Map(EQUATIONS, t_s, excess, found.shares, states))
+    assert place.condition.startswith("late in the run")
+
+
 def test_an_excess_spread_over_all_rows_has_no_condition():
     run = made_up_run()
     everywhere = np.ones(ROWS, bool)
@@ -88,7 +139,9 @@ def test_small_shares_are_left_out_and_large_ones_come_first():
     run = made_up_run()
     excess = np.zeros((ROWS, len(EQUATIONS)))
     excess[:, 2], excess[:, 5], excess[:, 6] = 0.7, 0.27, 0.03
-    places = describe([run], Map(EQUATIONS, (run.t_s,), (excess,), excess.sum(0) / excess.sum()))
+    shares = excess.sum(0) / excess.sum()
+    gap_map = Map(EQUATIONS, (run.t_s,), (excess,), shares, (made_up_states(run),))
+    places = describe([run], gap_map)
     assert [place.channel for place in places] == [EQUATIONS[2], EQUATIONS[5]]
     assert [place.share for place in places] == pytest.approx([0.7, 0.27])
 

@@ -15,7 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from omnislip.gap.machine import Machine
+from omnislip import _core
+from omnislip.gap.machine import POSE_X, Machine
 from omnislip.gap.noise import Noise, track_all
 from omnislip.gap.recordings import ODOMETRY_CHANNELS, Run
 
@@ -56,6 +57,8 @@ class Map:
     t_s: tuple[Array, ...]
     excess: tuple[Array, ...]
     shares: Array
+    states: tuple[Array, ...]
+    """Filtered states (rows, n) of each run."""
 
 
 def map_gap(
@@ -63,20 +66,23 @@ def map_gap(
 ) -> Map:
     """Return where the refitted model is corrected more than the one with effects (or chance)."""
     equations = EQUATIONS[machine.kind]
-    before = _corrections(machine, runs, noise, refit, equations)
+    tracks = track_all(machine, runs, refit, noise)
+    before = _corrections(machine, runs, tracks, equations)
     if after is None:
         excess = [b - np.sum(b > 0, axis=0, keepdims=True) / len(b) for b in before]
     else:
-        later = _corrections(machine, runs, noise, after, equations)
+        later = _corrections(machine, runs, track_all(machine, runs, after, noise), equations)
         excess = [b - a for b, a in zip(before, later, strict=True)]
     total = np.maximum(sum(e.sum(axis=0) for e in excess), 0.0)
     shares = total / max(total.sum(), 1e-12)
-    return Map(tuple(equations), tuple(run.t_s for run in runs), tuple(excess), shares)
+    states = [t.state.reshape(len(run.t_s), -1) for run, t in zip(runs, tracks, strict=True)]
+    times = tuple(run.t_s for run in runs)
+    return Map(tuple(equations), times, tuple(excess), shares, tuple(states))
 
 
 def describe(runs: Sequence[Run], gap_map: Map) -> list[Place]:
     """Put the map into words: equations with their share, condition and worst windows."""
-    states = [_coordinates(run) for run in runs]
+    states = [_coordinates(*each) for each in zip(runs, gap_map.states, strict=True)]
     places = []
     for index in np.argsort(-gap_map.shares)[:MOST_ROWS]:
         share = float(gap_map.shares[index])
@@ -90,12 +96,12 @@ def describe(runs: Sequence[Run], gap_map: Map) -> list[Place]:
 
 
 def _corrections(
-    machine: Machine, runs: Sequence[Run], noise: Noise, values: Array, equations: dict
+    machine: Machine, runs: Sequence[Run], tracks: Sequence[_core.Track], equations: dict
 ) -> list[Array]:
     """Squared corrections over their expected variance (rows, equations) of each run."""
     states, outputs = machine.engine.filter_states, machine.engine.outputs
     result = []
-    for run, track in zip(runs, track_all(machine, runs, values, noise), strict=True):
+    for run, track in zip(runs, tracks, strict=True):
         rows = len(run.t_s)
         gain = track.gain.reshape(rows, states, outputs)
         innovation = np.nan_to_num(track.innovation.reshape(rows, outputs))
@@ -107,8 +113,8 @@ def _corrections(
     return result
 
 
-def _coordinates(run: Run) -> dict[str, Array]:
-    """Quantities a condition may name, one value per row; `wheel/i/...` belong to wheel i."""
+def _coordinates(run: Run, state: Array) -> dict[str, Array]:
+    """Quantities a condition may name, one value per row; 'i|...' belong to wheel i or the body."""
     if run.channels == ODOMETRY_CHANNELS:
         return _motion(run)
     motors = run.command.shape[1]
@@ -116,7 +122,7 @@ def _coordinates(run: Run) -> dict[str, Array]:
     speed = np.gradient(angles, run.t_s, axis=0)
     speed = _smooth(speed)
     acceleration = np.gradient(speed, run.t_s, axis=0)
-    found: dict[str, Array] = {"time": run.t_s - run.t_s[0]}
+    found: dict[str, Array] = {"time": run.time_s}
     for i in range(motors):
         own = f"{i + 1}|"
         found[own + "speed"] = np.abs(speed[:, i])
@@ -124,8 +130,22 @@ def _coordinates(run: Run) -> dict[str, Array]:
         found[own + "command"] = np.abs(run.command[:, i])
         found[own + "driving"] = run.command[:, i] * np.sign(speed[:, i])
         found[own + "acceleration"] = np.abs(acceleration[:, i])
+    if motors > 1:
+        found |= {f"body|{name}": values for name, values in _body_motion(run, state).items()}
     found["total command"] = np.sum(np.abs(run.command), axis=1)
     return found
+
+
+def _body_motion(run: Run, state: Array) -> dict[str, Array]:
+    """Filtered motion of a robot's body; its place only where a camera saw it, else NaN."""
+    seen = np.nan if np.isnan(run.outputs[:, POSE_X]).all() else 1.0
+    return {
+        "speed along x": np.abs(state[:, 8]),
+        "speed along y": np.abs(state[:, 9]),
+        "turning": np.abs(state[:, 10]),
+        "place x": seen * state[:, 11],
+        "place y": seen * state[:, 12],
+    }
 
 
 def _motion(run: Run) -> dict[str, Array]:
@@ -136,7 +156,7 @@ def _motion(run: Run) -> dict[str, Array]:
     rate = _smooth(np.gradient(pose, run.t_s, axis=0))
     along = (rate[:, 0] + 1j * rate[:, 1]) * np.exp(-1j * pose[:, 2])
     return {
-        "time": run.t_s - run.t_s[0],
+        "time": run.time_s,
         "speed along": np.abs(along.real),
         "speed across": np.abs(along.imag),
         "turning": np.abs(rate[:, 2]),
@@ -158,7 +178,11 @@ PHRASES = {
     "acceleration": ("at steady speed", "while accelerating"),
     "speed along": ("moving little along itself", "moving fast along itself"),
     "speed across": ("moving little sideways", "moving fast sideways"),
+    "speed along x": ("while the body moves little along x", "while the body moves fast along x"),
+    "speed along y": ("while the body moves little along y", "while the body moves fast along y"),
     "turning": ("turning little", "turning fast"),
+    "place x": ("where x is small", "where x is large"),
+    "place y": ("where y is small", "where y is large"),
     "change of speed": ("at steady speed", "while starting or stopping"),
     "total command": ("while the motors draw little", "while all motors draw much"),
 }
@@ -166,7 +190,8 @@ PHRASES = {
 
 def _condition(columns: list[Array], states: list[dict[str, Array]], channel: str) -> str:
     """Return the third of a coordinate that holds most of the excess, as a sentence."""
-    wheel = channel.split("/")[1] if channel.startswith("wheel/") else "1"
+    kind, name, *_ = channel.split("/")
+    own = {"wheel": name, "axis": "1"}.get(kind, "body")
     excess = np.concatenate(columns)
     total = excess.sum()
     if total <= 0:
@@ -174,7 +199,7 @@ def _condition(columns: list[Array], states: list[dict[str, Array]], channel: st
     best, sentence = 0.0, "everywhere"
     for name in states[0]:
         owner, _, short = name.rpartition("|")
-        if owner and owner != wheel:
+        if owner and owner != own:
             continue
         values = np.concatenate([s[name] for s in states])
         for side, phrase in enumerate(PHRASES[short]):
