@@ -314,6 +314,17 @@ def test_friction_of_an_axis_in_newtons(axis):
     assert force["low"] < 2.0 < force["high"]
 
 
+def test_the_place_of_what_has_no_name_is_told(tmp_path, monkeypatch):
+    """Bearings that age are in no catalogue; here nothing that is near is taken for them."""
+    full_search = find.search
+    monkeypatch.setattr(find, "search", lambda *given: replace(full_search(*given), selected=()))
+    result = to_json(found(*axis_case(tmp_path, Bench(ageing_n_m=2.0))))
+    assert (result["verdict"], result["nearest"]) == ("unknown_effect", [])
+    [place] = result["where"]
+    assert place["channel"] == "axis/force"
+    assert place["windows_s"]
+
+
 def test_second_run_on_the_amended_axis_finds_no_gap(axis, tmp_path):
     _, logs = axis_case(tmp_path, seeds=range(20, 26))
     assert found(axis[1] / "robot.toml", logs).verdict == "no_gap"

@@ -222,12 +222,12 @@ def find_gap(
     gap_map = map_gap(
         machine, fitted, outcome.data.noise, refit, after if outcome.selected else None
     )
-    places = describe(fitted, gap_map) if outcome.selected else []
     progress("asking whether what is left is chance")
     shares = predictable_shares(machine, fitted, outcome.data.noise, after, refit)
     jolts = too_often(runs, impacts)
     verdict = _verdict(outcome, table, bool(wiring or impacts), shares, jolts)
     something = outcome.selected or verdict == "unknown_effect"
+    places = describe(fitted, gap_map) if something else []
     shapes = _shapes(machine, split, outcome) if something else []
     cautions = [FEW_RUNS] if outcome.selected and split.how not in WHOLE_RUNS else []
     cautions += [_unstable(one) for one in outcome.selected if one.stability < STABLE]
