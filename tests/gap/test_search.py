@@ -1,13 +1,15 @@
 """What is missing on an axis: named right, the simplest wins, and nothing is found in nothing."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
-from axis_bench import Bench, make_machine, make_runs, silent
+from axis_bench import Bench, make_log, make_machine, make_runs, silent
 from omnislip.gap import search as search_module
 from omnislip.gap.inference import fit
 from omnislip.gap.machine import Machine
+from omnislip.gap.recordings import make_run
 from omnislip.gap.search import search, stability_of
 from omnislip.model_file import Effect, read_model, write_model
 from scipy.stats import binom
@@ -199,3 +201,16 @@ def test_what_no_effect_explains_is_said_to_be_left(machine):
     outcome = find(machine, Bench(ageing_n_m=2.0))
     assert [term.dependence for term in outcome.leftover[:1]] == ["time and speed"]
     assert outcome.leftover[0].equation == "axis/force"
+
+
+@pytest.mark.parametrize("parts", [1, 4])
+def test_what_ages_goes_on_from_part_to_part_of_a_log(machine, parts):
+    """Logs of 12 s, whole or in parts that are runs of their own."""
+    edges = np.linspace(0, 2400, parts + 1).astype(int)
+    runs = [
+        replace(make_run(machine, log, *rows), unit=f"{log.name} {rows[0]}")
+        for log in (make_log(Bench(ageing_n_m=1.0), seed, duration_s=12.0) for seed in range(2))
+        for rows in pairwise(edges)
+    ]
+    outcome = search(machine, runs, None, silent)
+    assert [term.dependence for term in outcome.leftover[:1]] == ["time and speed"]

@@ -47,7 +47,7 @@ class Term:
 
 @dataclass(frozen=True)
 class Leftover:
-    """A term that is missing: where, on what it depends, how surely, and its size and curve."""
+    """A term that is missing: where, on what it depends, and how surely."""
 
     equation: str
     dependence: str
@@ -178,7 +178,7 @@ def _pushes(state: Array, run: Run, terms: Sequence[Term]) -> tuple[Array, Array
     """What a unit of each term adds: rates of the states (rows, states, terms), and outputs."""
     push = np.zeros((*state.shape, len(terms)))
     shown = np.zeros((*run.outputs.shape, len(terms)))
-    time_s = run.t_s - run.t_s[0]
+    time_s = run.time_s
     for index, term in enumerate(terms):
         for pushed in term.states:
             push[:, pushed, index] = term.shape(state, run.command, time_s, pushed)
