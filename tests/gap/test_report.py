@@ -23,7 +23,7 @@ from omnislip.gap.metrics import Closed, GapTable, Left, Replays
 from omnislip.gap.plan import Manoeuvre, Separation
 from omnislip.gap.recordings import ROBOT_CHANNELS, Run
 from omnislip.gap.report import HEADLINES, format_number, render
-from omnislip.gap.search import Outcome, Selected, Trial
+from omnislip.gap.search import FULL_REFITS, REFITS, Outcome, Selected, Trial
 from omnislip.gap.where import AXIS_EQUATIONS, ROBOT_EQUATIONS, Map, Place
 from omnislip.model_file import NOMINAL_ROBOT, Effect, Model, read_model
 
@@ -350,6 +350,25 @@ def test_each_trial_says_why(found_html):
 def test_detection_limit_has_its_unit(no_gap_html):
     row = next(r for r in Page(no_gap_html).rows if "viscous_friction_nm_s" in r[0])
     assert row[1:3] == ["1.25 × 10⁻⁶", "N m s"]
+
+
+def test_what_is_said_of_the_search_is_so(found_html):
+    """Held-out runs do judge: pushes are looked for in them, and their rest makes it unknown."""
+    text = Page(found_html).text
+    assert "not used for any fit or choice" not in text
+    assert "a gap that stays in these can make the verdict unknown" in text
+    assert f"{REFITS} candidates of each step that are fitted: all by what they add" in text
+    assert f"the best up to {FULL_REFITS} of them fully" in text
+
+
+def test_every_limit_of_gap_json_is_a_row(machines):
+    """Also that of a patch in the floor, which needs places to be looked for."""
+    findings = make(machines, "robot", "no_gap")
+    limits = {"low_grip": {"scale": 0.01}, "slippery_patch": {"scale": 0.1}}
+    findings = replace(findings, outcome=replace(findings.outcome, limits=limits))
+    page = Page(render(findings, COMMAND_LINE))
+    rows = [row[0] for row in page.rows if row[0].split(" ")[0] in limits]
+    assert rows == [f"{effect} scale" for effect in to_json(findings)["detection_limits"]]
 
 
 def test_limit_beyond_the_bound_of_its_size_is_not_called_a_limit(machines):

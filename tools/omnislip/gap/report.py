@@ -52,7 +52,6 @@ EQUATIONS = {
     "pose/position": "position or camera",
     "pose/heading": "heading or camera",
     "axis/force": "force balance",
-    "axis/position": "position or sensor",
 }
 MODELS = ("believed", "refitted", "with effect")
 KEY_BOUND = 2.0
@@ -85,7 +84,7 @@ def render(findings: Findings, command_line: str) -> str:
             where=_where(findings),
             overlays=_overlays(findings),
             steps=_steps(findings),
-            limits=_limits(findings.machine, numbers["detection_limits"]),
+            limits=_limits(findings, numbers["detection_limits"]),
             keys=_keys(numbers["base"]),
             held_out=_names(findings.split.held_out),
             command_line=command_line,
@@ -327,10 +326,13 @@ def _trial_sizes(machine: Machine, trial: Trial) -> list[str]:
     return sizes
 
 
-def _limits(machine: Machine, limits: dict[str, dict[str, float]]) -> list[Json]:
+def _limits(findings: Findings, limits: dict[str, dict[str, float]]) -> list[Json]:
     """Detection limits, the best seen effects first (limit over the size worth looking for)."""
-    rows = []
-    for candidate in machine.candidates():
+    if not limits:
+        return []
+    machine, rows = findings.machine, []
+    patches = machine.floor_candidates(findings.split.fitting)
+    for candidate in (*machine.candidates(), *patches):
         for index in candidate.amplitudes:
             parameter = candidate.parameters[index]
             name = machine.file_parameter(parameter.label)
@@ -411,7 +413,11 @@ def _thresholds() -> list[tuple[str, str]]:
             "change of an effect's size from half second to half second that makes it unknown",
         ),
         (f"{search.MOST_EFFECTS}", "most effects that are added"),
-        (f"{search.REFITS}", "candidates of each step that are fitted fully"),
+        (
+            f"{search.REFITS}",
+            f"candidates of each step that are fitted: all by what they add, the best up to "
+            f"{search.FULL_REFITS} of them fully",
+        ),
         (f"{find.LEAST_TIME_S:g} s", "least total length of the logs"),
         (f"{metrics.WINDOW_S:g} s", "length of a replay before it starts again"),
     ]
