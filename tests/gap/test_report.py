@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import base64
+import json
 import re
 import shutil
 import subprocess
 from dataclasses import replace
+from html import escape, unescape
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -433,17 +435,43 @@ def test_what_is_no_number_is_a_dash(value):
     assert format_number(value) == "–"
 
 
-@pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
-def test_browser_shows_every_picture_without_complaint(found_html, tmp_path):
-    page = tmp_path / "report.html"
-    probe = (
-        "<script>addEventListener('load', () => document.title = [...document.images]"
-        ".map(i => i.naturalWidth > 0 ? 'shown' : 'broken').join(' '))</script>"
+PAGES = [*sorted(HEADLINES), "ambiguous"]
+WIDTHS_PX = (1280, 400)
+PROBE = """<!DOCTYPE html><title></title><script>addEventListener('load', () => {
+  const pages = [...document.querySelectorAll('iframe')].map(frame => frame.contentWindow)
+  pages.forEach(page => page.document.querySelectorAll('details').forEach(one => one.open = true))
+  document.title = JSON.stringify(pages.map(page => ({
+    width: page.innerWidth,
+    overflow: page.document.documentElement.scrollWidth
+      - page.document.documentElement.clientWidth,
+    pictures: page.document.images.length,
+    broken: [...page.document.images].filter(image => image.naturalWidth == 0).length,
+    fetched: page.performance.getEntriesByType('resource').map(one => one.name)
+      .filter(name => !name.startsWith('data:'))})))})</script>"""
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed: no page is looked at")
+@pytest.mark.parametrize("case", PAGES)
+def test_browser_shows_a_page_whole_at_every_width(case, machines, tmp_path):
+    """Every picture is there, nothing is fetched or complained of, no page scrolls sideways."""
+    machine = machines["robot"]
+    rivals = ("weak_motor (wheel 3)",)
+    findings = (
+        findings_of(machine, "effect_found", machine.candidates()[:1], rivals)
+        if case == "ambiguous"
+        else make(machines, "robot", case)
     )
-    page.write_text(found_html + probe, encoding="utf-8")
+    html = render(findings, COMMAND_LINE)
+    frames = [
+        f'<iframe style="border: 0" width="{px}" height="900" srcdoc="{escape(html)}"></iframe>'
+        for px in WIDTHS_PX
+    ]
+    page = tmp_path / "pages.html"
+    page.write_text(PROBE + "".join(frames), encoding="utf-8")
     ended = browse(page, tmp_path / "profile")
     title = re.search(r"<title>(.*?)</title>", ended.stdout)[1]
-    assert title.split() == ["shown"] * len(pictures_of(found_html))
+    shown = {"overflow": 0, "pictures": len(pictures_of(html)), "broken": 0, "fetched": []}
+    assert json.loads(unescape(title)) == [{"width": px, **shown} for px in WIDTHS_PX]
     assert "CONSOLE" not in ended.stderr
 
 
