@@ -181,6 +181,19 @@ def test_a_second_run_on_the_amended_robot_finds_no_gap(weak_motor):
     assert to_json(again)["effects"] == []
 
 
+def test_an_amended_robot_with_two_effects_has_no_gap_on_logs_it_never_saw(tmp_path):
+    effects = [typical_effect("weak_motor", 3), typical_effect("coulomb_friction", None)]
+    hidden = tuple(effect.as_dict() for effect in effects)
+    write_case(TruthCase(7, hidden, runs=10, run_duration_s=4.0), tmp_path)
+    logs = sorted(tmp_path.glob("run_*.csv"))
+    first = found(tmp_path / "robot.toml", logs[:5])
+    named = {(effect["name"], effect["wheel"]) for effect in to_json(first)["effects"]}
+    assert named == {("weak_motor", 3), ("coulomb_friction", None)}
+    write_results(first, tmp_path / "gap", "report")
+    again = found(tmp_path / "gap" / "robot.toml", logs[5:])
+    assert again.verdict == "no_gap", again.sentence
+
+
 def test_nothing_hidden_nothing_found(nothing_hidden):
     result = to_json(nothing_hidden)
     assert result["verdict"] == "no_gap"
