@@ -13,14 +13,21 @@ import pandas as pd
 import pytest
 from axis_bench import Bench, make_log, model_text, silent
 from omnislip.gap import find
-from omnislip.gap.find import find_gap, split_runs, to_json, weak_names, write_results
+from omnislip.gap.find import (
+    find_gap,
+    split_runs,
+    to_json,
+    usable_runs,
+    weak_names,
+    write_results,
+)
 from omnislip.gap.inference import Evidence
 from omnislip.gap.machine import Machine
 from omnislip.gap.metrics import Closed, Left
 from omnislip.gap.search import Selected
 from omnislip.gap.truth import TruthCase, write_case
 from omnislip.gap.truth_effects import typical_effect
-from omnislip.log_file import Log, write_log
+from omnislip.log_file import POSE_COLUMNS, Log, write_log
 from omnislip.model_file import NOMINAL_ROBOT, read_model
 
 AXIS_BENCH = Bench(coulomb_n=2.0)
@@ -395,6 +402,27 @@ def test_runs_of_the_same_name_in_two_folders_are_two(tmp_path):
     split = split_runs(Machine(read_model(model)), logs)
     assert len(split.held_out) == 1
     assert len({run.unit for run in split.fitting}) == 5
+
+
+def test_slivers_beside_a_cut_are_not_used(tmp_path):
+    """Parts of 2.25 s, the log cut at 2.05 s: 0.15 s are left, in which the filter settles."""
+    t_s = np.arange(0.0, 12.0, 0.001)
+    log = Log("run", t_s, {"axis/command": np.sin(t_s), "axis/position_m": np.sin(t_s)})
+    model, _ = axis_case(tmp_path, seeds=())
+    split = split_runs(Machine(read_model(model)), [log], [("run", 2.05)])
+    assert [round(run.duration_s, 2) for run in split.fitting] == [2.05, 2.25, 2.25, 2.25]
+
+
+@pytest.mark.parametrize("lost", [(-1.0, 1.0), (0.5, 3.5), (-1.0, 4.0)], ids=str)
+def test_a_run_of_a_robot_starts_from_a_pose_or_has_none(lost):
+    """Where the camera is lost at first, the robot has moved when it comes back."""
+    log = robot_log(800)
+    blank = (log.t_s > lost[0]) & (log.t_s < lost[1])
+    pose = {name: np.where(blank, np.nan, log.t_s) for name in POSE_COLUMNS}
+    runs = usable_runs(ROBOT, replace(log, columns=log.columns | pose), [])
+    assert sum(len(run.t_s) for run in runs) == len(log.t_s)
+    seen = [np.flatnonzero(~np.isnan(run.outputs[:, 5])) for run in runs]
+    assert all(rows.size == 0 or rows[0] == 0 for rows in seen)
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 6, 9, 12, 20])

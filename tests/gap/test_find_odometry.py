@@ -144,3 +144,14 @@ def test_wheels_that_stand_still_teach_nothing(tmp_path, model):
     findings = find(tmp_path, model, [dataclasses.replace(log, columns=columns)])
     assert findings.verdict == "insufficient_data"
     assert "wheel 2" in findings.sentence
+
+
+def test_parts_without_a_pose_are_left_out(tmp_path, model):
+    """The camera is lost in the whole of the second part, and as the third begins."""
+    log = make_log(0, slip=0.05, seconds=60.0)
+    lost = (log.t_s > 8.5) & (log.t_s < 20.0)
+    columns = {k: np.where(lost & k.startswith("pose/"), np.nan, v) for k, v in log.columns.items()}
+    findings = find(tmp_path, model, [dataclasses.replace(log, columns=columns)])
+    assert named(findings) == ["lateral_slip"]
+    begins_s = [float(run.t_s[0]) for run in findings.split.fitting]
+    assert begins_s == pytest.approx([0.0, 20.0, 27.0, 36.0])

@@ -32,7 +32,7 @@ from omnislip.gap.metrics import (
 )
 from omnislip.gap.plan import Separation, separating_manoeuvre
 from omnislip.gap.predictable import Predictable, predictable_shares
-from omnislip.gap.recordings import ODOMETRY_CHANNELS, Run, machine_for, make_run
+from omnislip.gap.recordings import ODOMETRY_CHANNELS, Run, first_pose, machine_for, make_run
 from omnislip.gap.search import SURE_GAIN, Outcome, Selected, first_model, search
 from omnislip.gap.unknown import Unknown, describe_unknown
 from omnislip.gap.where import Map, Place, describe, map_gap
@@ -91,8 +91,8 @@ SURE = 3.0
 LEAST_TIME_S = 3.0
 LEAST_TRAVEL = 20.0
 """Motion, in steps of the position sensor, below which nothing can be learned."""
-LEAST_ROWS, SHORTEST_S = 50, 2.0 * _core.SETTLE_S
-"""What a piece of a log must hold: until the filter has settled nothing is fitted or replayed."""
+LEAST_ROWS, LEAST_S = 50, 2 * _core.SETTLE_S
+"""Of a piece that is used; the filter's settling does not count."""
 CONFIDENCE = 1.959964  # 95 %
 
 
@@ -180,7 +180,7 @@ def find_gap(
         return _insufficient(machine, logs, checked.complaint, inputs)
     progress("looking for impacts")
     cuts += known_pushes(model)
-    runs = [make_run(machine, log, *rows) for log in logs for rows in pieces(log, cuts)]
+    runs = [run for log in logs for run in usable_runs(machine, log, cuts)]
     known = split_runs(machine, logs, cuts)
     if not known.enough:
         return _insufficient(machine, logs, _too_cut(known), inputs)
@@ -303,7 +303,7 @@ def weak_names(selected: Sequence[Selected]) -> list[str]:
 def _too_cut(split: Split) -> str:
     return (
         f"between pushes and gaps too little is left to fit, to check and to hold out: each "
-        f"takes pieces of {LEAST_ROWS} rows and {SHORTEST_S:g} s ({split.how})"
+        f"takes pieces of {LEAST_ROWS} rows and {LEAST_S:g} s ({split.how})"
     )
 
 
@@ -436,13 +436,29 @@ def split_runs(
         how = "one run only: its last quarter held out, parts of the rest check each other"
     fitting, held_out = [], []
     for unit, is_held_out, log, first, last in parts:
-        for begin, end in pieces(log, pushes):
-            rows = (max(begin, first), min(end, last))
-            lasts_s = log.t_s[rows[1] - 1] - log.t_s[rows[0]] if rows[1] > rows[0] else 0.0
-            if rows[1] - rows[0] >= LEAST_ROWS and lasts_s > SHORTEST_S:
-                run = replace(make_run(machine, log, *rows), unit=unit)
-                (held_out if is_held_out else fitting).append(run)
+        runs = [replace(r, unit=unit) for r in usable_runs(machine, log, pushes, first, last)]
+        (held_out if is_held_out else fitting).extend(runs)
     return Split(fitting, held_out, how)
+
+
+def usable_runs(
+    machine: Machine,
+    log: Log,
+    pushes: Sequence[tuple[str, float]],
+    first: int = 0,
+    last: int | None = None,
+) -> list[Run]:
+    """Return what is long enough to be used of rows first..last between the pushes (run, time)."""
+    runs = []
+    for begin, end in pieces(log, pushes):
+        begin, end = max(begin, first), min(end, len(log.t_s) if last is None else last)
+        pose = first_pose(log, begin, end)
+        # Without a pose an odometry has nothing to be judged by.
+        before = [] if machine.kind == "odometry" else [(begin, pose)]
+        for rows in (*before, (pose, end)):
+            if rows[1] - rows[0] >= LEAST_ROWS and np.ptp(log.t_s[slice(*rows)]) >= LEAST_S:
+                runs.append(make_run(machine, log, *rows))
+    return runs
 
 
 def _every_fifth(count: int) -> list[int]:

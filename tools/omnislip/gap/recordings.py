@@ -9,7 +9,7 @@ import numpy.typing as npt
 from omnislip import _core
 from omnislip.errors import InputError
 from omnislip.gap.machine import Machine
-from omnislip.log_file import Log
+from omnislip.log_file import POSE_COLUMNS, Log
 from omnislip.model_file import Model
 
 Array = npt.NDArray[np.float64]
@@ -97,6 +97,19 @@ def make_run(machine: Machine, log: Log, begin: int = 0, end: int | None = None)
         log.name,
         float(log.t_s[0]),
     )
+
+
+def first_pose(log: Log, begin: int, end: int) -> int:
+    """Return the row of begin..end at which the pose columns are known first; `end` if none is.
+
+    `begin` where the filter is still settling then: a run starts from its first pose, but where the
+    camera is lost for longer the robot has gone on meanwhile.
+    """
+    poses = [log.columns[name][begin:end] for name in POSE_COLUMNS if name in log.columns]
+    seen = [np.flatnonzero(~np.isnan(values)) for values in poses]
+    first = begin + max((int(rows[0]) for rows in seen if rows.size), default=end - begin)
+    settling = first < end and log.t_s[first] - log.t_s[begin] < _core.SETTLE_S
+    return begin if settling else first
 
 
 def _odometry_run(machine: Machine, log: Log, rows: slice, t_s: Array) -> Run:
