@@ -13,7 +13,7 @@ from omnislip.gap.gates import check, logged_set_points, too_poor
 from omnislip.gap.machine import Machine
 from omnislip.gap.truth import TruthCase, write_case
 from omnislip.gap.truth_effects import typical_effect
-from omnislip.log_file import Log, read_log, write_log
+from omnislip.log_file import ROBOT_OPTIONAL, Log, read_log, write_log
 from omnislip.model_file import NOMINAL_ROBOT, read_model, write_model
 from omnislip.scenario import Scenario, Sensors, read_scenario
 from omnislip.simulate import make_log, simulate_truth
@@ -54,6 +54,11 @@ def ramped_duties(seed, ramp_1_s):
 @pytest.fixture(scope="module")
 def good():
     return drive()
+
+
+@pytest.fixture(scope="module")
+def two_logs():
+    return [drive(f"run_{seed}", seed=seed) for seed in range(2)]
 
 
 def spoilt(log, **columns):
@@ -187,6 +192,21 @@ def test_hard_slip_is_no_late_sensor():
     scenario = read_scenario(NOMINAL_ROBOT.parents[1] / "scenarios" / "identification.toml")
     checked = check(MACHINE, [make_log(scenario, simulate_truth(scenario))])
     assert (checked.complaint, checked.cuts) == (None, [])
+
+
+@settings(max_examples=60)
+@given(st.sets(st.sampled_from(ROBOT_OPTIONAL)), st.sets(st.sampled_from(ROBOT_OPTIONAL)))
+def test_columns_that_are_not_logged_are_no_mistake(two_logs, missing, blank):
+    """Each optional column alone may be missing, or be blank in every row."""
+    nothing = dict.fromkeys(blank, np.full(len(two_logs[0].t_s), np.nan))
+    logs = [without(replace(g, columns=g.columns | nothing), missing) for g in two_logs]
+    checked = check(MACHINE, logs)
+    assert (checked.complaint, checked.cuts) == (None, [])
+
+
+def test_a_heading_alone_is_checked_too(good):
+    upside_down = without(times(good, POSE[2:], -1.0), [*POSE[:2], "gyro/z_rad_s"])
+    assert "sign reversed" in check(MACHINE, [upside_down]).complaint
 
 
 # ---- gaps and jumps ----

@@ -132,9 +132,11 @@ def _body_travel(machine: Machine, log: Log) -> Array:
     return _wheel_travel_m(machine, log) @ np.linalg.pinv(wheel_jacobian(machine)).T
 
 
-def _sampled(log: Log, name: str) -> npt.NDArray[np.intp]:
-    values = log.columns.get(name)
-    return np.flatnonzero(~np.isnan(values)) if values is not None else np.array([], dtype=np.intp)
+def _sampled(log: Log, *names: str) -> npt.NDArray[np.intp]:
+    """Rows in which each of the columns has a value: none where a column is not logged."""
+    if any(name not in log.columns for name in names):
+        return np.array([], dtype=np.intp)
+    return np.flatnonzero(~np.isnan([log.columns[name] for name in names]).any(axis=0))
 
 
 def _turn_rates(machine: Machine, log: Log) -> tuple[Array, Array, Array] | None:
@@ -234,27 +236,24 @@ def _stretches(mask: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
 def _flat(machine: Machine, log: Log) -> str | None:
     """A sensor that shows one value, always or for a while, though the wheels move the robot."""
     travel = _body_travel(machine, log)
-    rows = _sampled(log, "gyro/z_rad_s")
     rate = np.gradient(travel[:, 2], log.t_s)
-    for begin, end in _long(log, rows, log.columns.get("gyro/z_rad_s")):
+    for begin, end in _unchanged(log, "gyro/z_rad_s"):
         if np.ptp(_smooth(rate[begin : end + 1])) > 0.5:
             return _stands_still("gyro/z_rad_s", log, begin, end)
-    if any(name not in log.columns for name in POSE_COLUMNS):
-        return None
-    columns = [np.nan_to_num(log.columns[c]) for c in POSE_COLUMNS]
-    place = columns[0] + np.e * columns[1] + np.pi * columns[2]  # changes when any of them does
-    for begin, end in _long(log, _sampled(log, "pose/x_m"), place):
+    for begin, end in _unchanged(log, *POSE_COLUMNS):
         moved = np.ptp(travel[begin : end + 1], axis=0)
         if moved[:2].max() > 0.1 or moved[2] > 0.3:
             return _stands_still("the pose", log, begin, end)
     return None
 
 
-def _long(log: Log, rows: npt.NDArray[np.intp], values: Array | None) -> list[tuple[int, int]]:
-    """First and last row of the stretches over 0.3 s in which sampled values do not change."""
-    if values is None or rows.size < 10:
+def _unchanged(log: Log, *names: str) -> list[tuple[int, int]]:
+    """First and last row of the stretches over 0.3 s in which no sample of the columns changes."""
+    rows = _sampled(log, *names)
+    if rows.size < 10:
         return []
-    still = [(rows[a], rows[b]) for a, b in _stretches(np.diff(values[rows]) == 0) if b - a >= 10]
+    changes = np.any([np.diff(log.columns[name][rows]) != 0 for name in names], axis=0)
+    still = [(rows[a], rows[b]) for a, b in _stretches(~changes) if b - a >= 10]
     return [(int(a), int(b)) for a, b in still if log.t_s[b] - log.t_s[a] > STILL_S]
 
 
@@ -296,7 +295,8 @@ def _windows(
     machine: Machine, log: Log, name: str, rolling_only: bool = False
 ) -> tuple[Array, Array]:
     """Way of wheels and of a pose column over windows of 0.2 s, where the wheels move at all."""
-    rows = _sampled(log, name)
+    own = [name] if name == "pose/theta_rad" else POSE_COLUMNS[:2]
+    rows = _sampled(log, *(POSE_COLUMNS if rolling_only else own))
     if rows.size < 10:
         return np.empty(0), np.empty(0)
     travel = _body_travel(machine, log)[rows]
@@ -351,9 +351,8 @@ def _wrong_scale(machine: Machine, log: Log) -> str | None:
     if rates is not None:
         turning = np.abs(rates[1]) > 0.2
         pairs["gyro/z_rad_s"] = (rates[1][turning], rates[2][turning])
-    if all(name in log.columns for name in POSE_COLUMNS):
-        for name in ("pose/theta_rad", "pose/x_m"):
-            pairs[name] = _windows(machine, log, name)
+    for name in ("pose/theta_rad", "pose/x_m"):
+        pairs[name] = _windows(machine, log, name)
     for name, (wheels, shown) in pairs.items():
         if wheels.size < 20:
             continue
@@ -395,7 +394,8 @@ def _electric(machine: Machine, log: Log) -> str | None:
     limits = {name: 3.0 * stall_a for name in ELECTRIC_CHANNELS[1:]}
     limits[ELECTRIC_CHANNELS[0]] = 3.0 * values["motor.supply_v"]
     for name, most in limits.items():
-        size = float(np.nanpercentile(np.abs(log.columns.get(name, np.zeros(1))), 95))
+        rows = _sampled(log, name)
+        size = float(np.percentile(np.abs(log.columns[name][rows]), 95)) if rows.size else 0.0
         if size > most:
             unit = "V" if name == ELECTRIC_CHANNELS[0] else "A"
             return f"{name} shows up to {size:.4g} {unit}: is it in m{unit}?"
@@ -489,9 +489,7 @@ def _without_jumps(log: Log) -> tuple[Log, list[float], float | None]:
     body changes its speed only as fast as its grip allows. The third is the time of the first jump
     when there are too many.
     """
-    if not all(name in log.columns for name in POSE_COLUMNS):
-        return log, [], None
-    rows = np.flatnonzero(~np.isnan([log.columns[c] for c in POSE_COLUMNS]).any(axis=0))
+    rows = _sampled(log, *POSE_COLUMNS)
     if rows.size < 10:
         return log, [], None
     t_s, pose = log.t_s[rows], np.stack([log.columns[c][rows] for c in POSE_COLUMNS], axis=1)
