@@ -3,15 +3,20 @@
 import dataclasses
 
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from omnislip.gap.find import find_gap
+from omnislip.gap.find import find_gap, to_json
 from omnislip.gap.machine import Machine
-from omnislip.gap.truth import TruthCase, write_case
-from omnislip.gap.wiring import find_wiring, mend
+from omnislip.gap.report import render
+from omnislip.gap.truth import TruthCase, generate, write_case
+from omnislip.gap.truth_effects import typical_effect
+from omnislip.gap.wiring import find_wirings, mend
 from omnislip.log_file import Log, read_log
 from omnislip.model_file import NOMINAL_ROBOT, Effect, read_model
+from omnislip.scenario import Scenario, Sensors
+from omnislip.simulate import make_log, simulate_truth
 
 MACHINE = Machine(read_model(NOMINAL_ROBOT))
 MISTAKES = [
@@ -69,19 +74,147 @@ def test_a_sign_mended_twice_is_the_log_itself(effect):
 @pytest.mark.parametrize("effect", MISTAKES)
 @pytest.mark.parametrize("sensors", [(), ("gyro", "pose")])
 def test_a_mistake_is_found_and_no_other(tmp_path, effect, sensors):
-    assert find_wiring(MACHINE, logs_of(tmp_path, (as_hidden(effect),), sensors)) == [effect]
+    assert find_wirings(MACHINE, logs_of(tmp_path, (as_hidden(effect),), sensors)) == [[effect]]
 
 
-def test_two_mistakes_are_found_one_by_one(tmp_path):
+def test_two_mistakes_are_found_together(tmp_path):
     both = (as_hidden(MISTAKES[2]), as_hidden(MISTAKES[3]))
-    found = find_wiring(MACHINE, logs_of(tmp_path, both))
+    [found] = find_wirings(MACHINE, logs_of(tmp_path, both))
     assert sorted(effect.name for effect in found) == ["encoder_sign", "motor_sign"]
+
+
+def signs(name, *wheels):
+    return [Effect(name, {}, wheel) for wheel in wheels]
+
+
+MANY = {
+    "all encoders": signs("encoder_sign", 1, 2, 3, 4),
+    "all motors": signs("motor_sign", 1, 2, 3, 4),
+    "a wheel's both": signs("encoder_sign", 1) + signs("motor_sign", 1),
+    "order and signs": [
+        Effect("wheel_permutation", {"wheels": [3, 4, 2, 1]}),
+        *signs("encoder_sign", 2, 3),
+        *signs("motor_sign", 1),
+    ],
+}
+EVERYTHING = MANY["all encoders"] + MANY["all motors"]
+
+
+@pytest.mark.parametrize("sensors", [("gyro",), ("pose",), ("gyro", "pose")])
+@pytest.mark.parametrize("mistakes", MANY)
+def test_many_mistakes_are_found_at_once(tmp_path, mistakes, sensors):
+    hidden = tuple(as_hidden(effect) for effect in MANY[mistakes])
+    assert find_wirings(MACHINE, logs_of(tmp_path, hidden, sensors)) == [MANY[mistakes]]
+
+
+@pytest.mark.parametrize("mistakes", ["all encoders", "all motors"])
+def test_without_gyro_and_camera_nothing_tells_encoders_from_motors(tmp_path, mistakes):
+    hidden = tuple(as_hidden(effect) for effect in MANY[mistakes])
+    found = find_wirings(MACHINE, logs_of(tmp_path, hidden, ()))
+    assert len(found) == 2
+    assert all(wiring in found for wiring in (MANY["all encoders"], MANY["all motors"]))
+
+
+@pytest.mark.parametrize(("sensors", "seen"), [((), False), (("gyro",), False), (("pose",), True)])
+def test_everything_reversed_shows_against_a_camera_only(tmp_path, sensors, seen):
+    hidden = tuple(as_hidden(effect) for effect in EVERYTHING)
+    found = find_wirings(MACHINE, logs_of(tmp_path, hidden, sensors))
+    assert found == [EVERYTHING if seen else []]
+
+
+def test_a_gyro_upside_down_is_no_wiring_of_the_wheels(tmp_path):
+    logs = logs_of(tmp_path, (), ("gyro",))
+    turned = [
+        dataclasses.replace(g, columns=g.columns | {"gyro/z_rad_s": -g.columns["gyro/z_rad_s"]})
+        for g in logs
+    ]
+    assert find_wirings(MACHINE, turned) == [[]]
+
+
+# Rows of sensors, seconds, excitation, friction curve: what healthy logs may be like.
+HEALTHY = [
+    ((), 1.0, "rich", "tanh"),
+    ((), 2.0, "poor", "brush"),
+    (("gyro",), 1.0, "ordinary", "atan"),
+    (("gyro",), 5.0, "poor", "brush"),
+    (("pose",), 2.0, "rich", "tanh"),
+    (("gyro", "pose", "supply", "current"), 3.0, "rich", "brush"),
+]
+
+
+@pytest.mark.parametrize(("sensors", "seconds", "excitation", "curve"), HEALTHY)
+@pytest.mark.parametrize("hidden", [(), ("current_limit",), ("slippery_patch", "load_transfer")])
+def test_healthy_logs_are_wired_right(sensors, seconds, excitation, curve, hidden):
+    """Their believed keys are off by 10 %, their noise threefold."""
+    case = TruthCase(
+        seed=11,
+        effects=tuple(typical_effect(name).as_dict() for name in hidden),
+        friction_curve=curve,
+        excitation=excitation,
+        closed_loop=bool(hidden),
+        sensors=sensors,
+        runs=1,
+        run_duration_s=seconds,
+        noise_level=3.0,
+        base_offset_sd=0.1,
+    )
+    [log], _ = generate(case)
+    columns = {c: log[c].to_numpy(float) for c in log.columns[1:]}
+    assert find_wirings(MACHINE, [Log("run", log["t_s"].to_numpy(), columns)]) == [[]]
+
+
+@pytest.mark.parametrize("angles_deg", [(45.0, 135.0, 225.0, 315.0), (20.0, 100.0, 215.0, 300.0)])
+@pytest.mark.parametrize("mistakes", [[], MANY["a wheel's both"], MANY["order and signs"]])
+def test_wheels_may_stand_at_any_angles(angles_deg, mistakes):
+    values = MACHINE.model.values | {"robot.wheel_angles_deg": list(angles_deg)}
+    model = dataclasses.replace(MACHINE.model, values=values)
+    generator = np.random.default_rng(2)
+    velocities = generator.uniform(-1, 1, (8, 3)) * (0.8, 0.8, 3.0)
+    commands = [
+        {"t_s": 0.5 * k, "kind": "velocity", "value": velocity.tolist()}
+        for k, velocity in enumerate(velocities)
+    ]
+    sensors = Sensors(gyro_noise_rad_s=0.003, pose_noise_m=0.001, pose_noise_rad=0.002)
+    scenario = Scenario("run", 4.0, model, commands, sensors=sensors)
+    log = make_log(scenario, simulate_truth(scenario))
+    assert find_wirings(Machine(model), [miswired(log, mistakes)]) == [mistakes]
+
+
+def miswired(log, mistakes):
+    """The log as these mistakes would have it: the reverse of `mend`."""
+    backwards = [
+        Effect(m.name, {"wheels": [m.parameters["wheels"].index(w) + 1 for w in range(1, 5)]})
+        if m.name == "wheel_permutation"
+        else m
+        for m in reversed(mistakes)
+    ]
+    return mend(log, backwards)
+
+
+def test_a_wiring_is_told_though_the_logs_are_refused(tmp_path):
+    """What they are refused for has nothing to do with it: the supply is in millivolts."""
+    logs_of(tmp_path, tuple(as_hidden(effect) for effect in MANY["all encoders"]), ())
+    paths = sorted(tmp_path.glob("run_*.csv"))
+    for path in paths:
+        frame = pd.read_csv(path)
+        frame["supply/voltage_v"] = 24e3
+        frame.to_csv(path, index=False)
+    findings = find_gap(tmp_path / "robot.toml", paths, lambda _: None)
+    result = to_json(findings)
+    assert result["verdict"] == "insufficient_data"
+    assert "is it in mV?" in result["sentence"]
+    assert "cannot tell this wiring from" in result["sentence"]
+    names = [effect["name"] for effect in result["effects"]]
+    assert names in (["encoder_sign"] * 4, ["motor_sign"] * 4)
+    assert all(len(effect["ambiguous_with"]) == 1 for effect in result["effects"])
+    assert findings.amended.effects == findings.wiring
+    assert render(findings, "omnislip").count(f"<h3>{names[0]} (wheel") == 4
 
 
 @pytest.mark.parametrize("name, size", [("weak_motor", {"scale": 0.6}), (None, {})])
 def test_a_robot_that_is_only_wrong_in_its_physics_is_wired_right(tmp_path, name, size):
     hidden = ({"name": name, "wheel": 1, "parameters": size, "run": None},) if name else ()
-    assert find_wiring(MACHINE, logs_of(tmp_path, hidden)) == []
+    assert find_wirings(MACHINE, logs_of(tmp_path, hidden)) == [[]]
 
 
 def test_the_amended_model_reads_the_miswired_logs_without_a_gap(tmp_path):

@@ -36,7 +36,7 @@ from omnislip.gap.recordings import ODOMETRY_CHANNELS, Run, first_pose, machine_
 from omnislip.gap.search import SURE_GAIN, Outcome, Selected, first_model, search
 from omnislip.gap.unknown import Unknown, describe_unknown
 from omnislip.gap.where import Map, Place, describe, map_gap
-from omnislip.gap.wiring import find_wiring, mend
+from omnislip.gap.wiring import find_wirings, mend
 from omnislip.log_file import Log, read_log
 from omnislip.model_file import (
     IMPACT_KEYS,
@@ -148,6 +148,8 @@ class Findings:
     """Why the names are less certain than they look, in sentences."""
     shapes: list[Leftover] = field(default_factory=list)
     """What the gap looks like in the refitted model: nameless terms, each tried alone."""
+    other_wirings: list[list[Effect]] = field(default_factory=list)
+    """Wirings that these logs cannot tell from the one found."""
 
 
 def find_gap(
@@ -170,27 +172,27 @@ def find_gap(
     inputs = {str(path): _sha256(path) for path in files}
     reason = _too_little(machine, logs)
     if reason:
-        return _insufficient(machine, logs, reason, inputs)
+        return _insufficient(machine, reason, inputs)
     progress("checking the wiring")
-    wiring = find_wiring(machine, logs)
+    wiring, *other_wirings = wirings = find_wirings(machine, logs)
     progress("checking the recording")
     checked = check(machine, [mend(log, wiring) for log in logs])
     logs, cuts = checked.logs, checked.cuts
     if checked.complaint:
-        return _insufficient(machine, logs, checked.complaint, inputs)
+        return _insufficient(machine, checked.complaint, inputs, wirings)
     progress("looking for impacts")
     cuts += known_pushes(model)
     runs = [run for log in logs for run in usable_runs(machine, log, cuts)]
     known = split_runs(machine, logs, cuts)
     if not known.enough:
-        return _insufficient(machine, logs, _too_cut(known), inputs)
+        return _insufficient(machine, _too_cut(known), inputs, wirings)
     noise, first = first_model(machine, known.fitting)
     impacts = find_impacts(machine, runs, first.flat(machine.believed), noise)
     for _ in range(2):  # again where a push shows only beside the final model
         pushes = cuts + [(impact.run, impact.time_s) for impact in impacts]
         split = split_runs(machine, logs, pushes)
         if not split.enough:
-            return _insufficient(machine, logs, _too_cut(split), inputs)
+            return _insufficient(machine, _too_cut(split), inputs, wirings)
         outcome = search(machine, split.fitting, noise, progress, first.without_effects())
         progress("looking for impacts with the final model")
         values = outcome.final.hypothesis.flat(machine.believed)
@@ -202,12 +204,12 @@ def find_gap(
     if outcome.selected or outcome.leftover:
         reason = logged_set_points(machine, logs, outcome.final.hypothesis.flat(machine.believed))
         if reason:
-            return _insufficient(machine, logs, reason, inputs)
+            return _insufficient(machine, reason, inputs, wirings)
     hopeful = outcome.selected or outcome.leftover or _refused(outcome) > SURE_GAIN
     if not (hopeful or wiring or impacts):
         reason = too_poor(machine, outcome.limits)
         if reason:
-            return _insufficient(machine, logs, reason, inputs)
+            return _insufficient(machine, reason, inputs, wirings)
     progress("replaying the held-out runs")
     believed = machine.believed
     rungs = [fitted.hypothesis.flat(believed) for fitted in outcome.ladder]
@@ -249,6 +251,7 @@ def find_gap(
     return Findings(
         verdict,
         _sentence(verdict, machine, outcome, table, mended, unknown, shares, shapes)
+        + _undecided(other_wirings)
         + _advice(manoeuvres)
         + "".join(f" {caution}" for caution in cautions),
         machine,
@@ -268,6 +271,7 @@ def find_gap(
         shares,
         cautions,
         shapes,
+        other_wirings,
     )
 
 
@@ -507,18 +511,26 @@ def _resolution(values: Array) -> float:
 
 
 def _insufficient(
-    machine: Machine, logs: Sequence[Log], reason: str, inputs: dict[str, str]
+    machine: Machine,
+    reason: str,
+    inputs: dict[str, str],
+    wirings: Sequence[list[Effect]] = ([],),
 ) -> Findings:
+    wiring, *other_wirings = wirings
     split = Split([], [], "no run was used")
+    sentence = f"Not enough data: {reason}."
+    if wiring:
+        sentence += f" The wiring is wrong: {_all_wiring_words(wiring)}."
+        sentence += _undecided(other_wirings)
     return Findings(
         "insufficient_data",
-        f"Not enough data: {reason}.",
+        sentence,
         machine,
         split,
         None,
+        wiring,
         [],
-        [],
-        machine.model,
+        machine.amended_model({}, wiring),
         [],
         None,
         None,
@@ -526,6 +538,7 @@ def _insufficient(
         [],
         {},
         inputs,
+        other_wirings=other_wirings,
     )
 
 
@@ -597,6 +610,15 @@ def _wiring_words(effect: Effect) -> str:
     return f"{effect.name} (wheel {effect.wheel})"
 
 
+def _all_wiring_words(wiring: Sequence[Effect]) -> str:
+    return "; ".join(_wiring_words(effect) for effect in wiring)
+
+
+def _undecided(other_wirings: Sequence[list[Effect]]) -> str:
+    others = " or ".join(_all_wiring_words(wiring) for wiring in other_wirings)
+    return f" These logs cannot tell this wiring from: {others}." if others else ""
+
+
 def _impact_words(impact: Impact) -> str:
     size = float(np.hypot(*impact.impulse[:2]))
     bearing = float(np.degrees(np.arctan2(impact.impulse[1], impact.impulse[0])))
@@ -640,7 +662,8 @@ def to_json(findings: Findings) -> dict[str, Any]:
     unknown = findings.verdict == "unknown_effect"
     found = [_impact_json(impact) for impact in findings.impacts] + passed
     effects, nearest = ([], found) if unknown else (found, [])
-    effects = [_wiring_json(effect) for effect in findings.wiring] + effects
+    wirings = [_all_wiring_words(wiring) for wiring in findings.other_wirings]
+    effects = [_wiring_json(effect, wirings) for effect in findings.wiring] + effects
     return {
         "schema": SCHEMA,
         "verdict": findings.verdict,
@@ -705,12 +728,12 @@ def _names(runs: Sequence[Run]) -> list[str]:
     return list(dict.fromkeys(run.name for run in runs))
 
 
-def _wiring_json(effect: Effect) -> dict[str, Any]:
+def _wiring_json(effect: Effect, other_wirings: list[str]) -> dict[str, Any]:
     return {
         "name": effect.name,
         "wheel": effect.wheel,
         "parameters": dict(effect.parameters),
-        "ambiguous_with": [],
+        "ambiguous_with": other_wirings,
         "separating_manoeuvre": None,
         "evidence": {},
     }

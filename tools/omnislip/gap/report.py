@@ -148,9 +148,8 @@ def _effects(findings: Findings, numbers: Json) -> list[Json]:
     All pushes are one entry.
     Where the verdict is unknown these are the nearest known effects.
     """
-    if not findings.outcome:
-        return []
     machine, pushes = findings.machine, len(findings.impacts)
+    named = findings.outcome.selected if findings.outcome else []
     nothing = {"sizes": [], "pushes": [], "rivals": [], "stability": None, "manoeuvre": None}
     terms = numbers["effects"][len(findings.wiring) :] or numbers["nearest"]
     gates = [
@@ -160,8 +159,9 @@ def _effects(findings: Findings, numbers: Json) -> list[Json]:
             if effect.wheel is None
             else f"{effect.name} (wheel {effect.wheel})",
             "entry": GATE_TEXTS[effect.name],
+            "rivals": [(wiring, "another wiring") for wiring in found["ambiguous_with"]],
         }
-        for effect in findings.wiring
+        for effect, found in zip(findings.wiring, numbers["effects"], strict=False)
     ]
     if pushes:
         rows = [
@@ -182,7 +182,7 @@ def _effects(findings: Findings, numbers: Json) -> list[Json]:
             "stability": effect["evidence"]["stability"],
             "manoeuvre": effect["separating_manoeuvre"],
         }
-        for selected, effect in zip(findings.outcome.selected, terms[pushes:], strict=True)
+        for selected, effect in zip(named, terms[pushes:], strict=True)
     ]
 
 
