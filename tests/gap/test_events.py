@@ -4,7 +4,15 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from omnislip.gap.events import Impact, as_effect, find_impacts, pieces, too_often, without_repeated
+from omnislip.gap.events import (
+    Impact,
+    as_effect,
+    find_impacts,
+    known_pushes,
+    pieces,
+    too_often,
+    without_repeated,
+)
 from omnislip.gap.machine import Machine
 from omnislip.gap.recordings import make_run
 from omnislip.gap.search import first_model
@@ -93,6 +101,15 @@ def test_more_than_a_push_every_four_seconds_is_too_often(pushes, often):
 
 def test_one_push_is_never_too_often():
     assert not too_often([SimpleNamespace(t_s=np.array([0.0, 2.0]))], [None])
+
+
+@pytest.mark.parametrize(
+    ("run", "cut"), [("run_01", ["a/run_01", "b/run_01"]), ("b/run_01", ["b/run_01"]), ("01", [])]
+)
+def test_a_push_of_the_model_file_is_one_of_the_logs_it_names(run, cut):
+    model = SimpleNamespace(effects=[as_effect(Impact(run, 2.0, np.zeros(3), np.zeros(3)))])
+    logs = [Log(name, np.arange(2.0), {}) for name in ("a/run_01", "b/run_01", "run_02")]
+    assert known_pushes(model, logs) == [(name, 2.0) for name in cut]
 
 
 def test_a_log_is_cut_at_its_own_pushes_and_short_pieces_are_dropped():

@@ -425,6 +425,19 @@ def test_a_run_of_a_robot_starts_from_a_pose_or_has_none(lost):
     assert all(rows.size == 0 or rows[0] == 0 for rows in seen)
 
 
+def test_a_gap_cuts_its_own_log_only(tmp_path):
+    """Two folders hold a run_00 each; from that of the first half a second is missing."""
+    log = make_log(AXIS_BENCH, 0)
+    kept = (log.t_s < 2.5) | (log.t_s > 3.0)
+    broken = Log(log.name, log.t_s[kept], {n: v[kept] for n, v in log.columns.items()})
+    model, logs = axis_case(tmp_path / "b", seeds=range(5))
+    (tmp_path / "a").mkdir()
+    write_log(broken, tmp_path / "a" / "run_00.csv")
+    findings = found(model, [tmp_path / "a" / "run_00.csv", *logs])
+    names = [run.name for run in findings.split.fitting]
+    assert names == ["a/run_00", "a/run_00", "b/run_00", "run_01", "run_02", "run_03"]
+
+
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 6, 9, 12, 20])
 def test_every_unit_is_checked_by_four_others(count, tmp_path):
     """And no row is in two of them."""

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from omnislip.errors import InputError
-from omnislip.log_file import ROBOT_OPTIONAL, ROBOT_REQUIRED, Log, read_log, write_log
+from omnislip.log_file import ROBOT_OPTIONAL, ROBOT_REQUIRED, Log, read_log, read_logs, write_log
 
 AXIS = "t_s,axis/command,axis/position_m\n0.0,1.0,0.0\n0.1,2.0,0.5\n0.2,3.0,1.5\n"
 ODOMETRY_HEADER = "t_s," + ",".join(f"wheel/{wheel}/encoder_counts" for wheel in (1, 2, 3))
@@ -176,3 +176,20 @@ def test_writing_keeps_the_old_file_when_it_fails(tmp_path, monkeypatch):
         write_log(robot_log(), path)
     assert path.read_text() == "precious"
     assert [item.name for item in tmp_path.iterdir()] == ["run.csv"]
+
+
+def test_logs_of_the_same_file_name_are_told_apart_by_their_folders(tmp_path):
+    names = ["day_1/a/run_1", "day_2/a/run_1", "day_2/b/run_1", "day_2/b/run_2"]
+    paths = [tmp_path / f"{name}.csv" for name in names]
+    for path in paths:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(AXIS)
+    logs = read_logs(paths, "axis")
+    assert [log.name for log in logs] == [*names[:2], "b/run_1", "run_2"]
+    assert [log.series for log in logs] == ["a", "a", "b", "b"]
+
+
+def test_a_log_that_is_given_twice_is_refused(tmp_path, write):
+    path = write("run.csv", AXIS)
+    with pytest.raises(InputError, match=r"run\.csv: this log is given twice"):
+        read_logs([path, path.parent / "." / "run.csv"], "axis")

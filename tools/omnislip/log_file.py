@@ -13,8 +13,8 @@ A blank cell means "not sampled in this row"; it is NaN in memory. Which columns
 """
 
 import re
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -90,6 +90,22 @@ def read_log(path: Path | str, kind: str | None) -> Log:
     _check_ranges(columns, locate)
     t_s = columns.pop("t_s")
     return Log(path.stem, t_s, columns, path.resolve().parent.name)
+
+
+def read_logs(paths: Sequence[Path | str], kind: str | None) -> list[Log]:
+    """Read logs, each with a name of its own; InputError for a log that is given twice.
+
+    Where file names are the same, so many folders are put before them that they differ.
+    """
+    parts = [Path(path).absolute().with_suffix("").parts for path in paths]
+    logs = []
+    for path, own in zip(paths, parts, strict=True):
+        if parts.count(own) > 1:
+            raise InputError(f"{path}: this log is given twice")
+        folders = range(1, len(own) + 1)
+        tails = (own[-n:] for n in folders if [p[-n:] for p in parts].count(own[-n:]) == 1)
+        logs.append(replace(read_log(path, kind), name="/".join(next(tails))))
+    return logs
 
 
 def write_log(log: Log, path: Path | str) -> None:

@@ -21,14 +21,14 @@ from pathlib import Path
 from typing import Any
 
 from omnislip.errors import InputError
-from omnislip.gap.events import LEAST_PIECE_S, known_pushes, pieces
-from omnislip.gap.find import LEAST_ROWS
+from omnislip.gap.events import known_pushes
+from omnislip.gap.find import LEAST_ROWS, LEAST_S, usable_runs
 from omnislip.gap.gates import check
 from omnislip.gap.metrics import gap_table, replay_all
 from omnislip.gap.noise import tune_noise
-from omnislip.gap.recordings import machine_for, make_run
+from omnislip.gap.recordings import machine_for
 from omnislip.gap.wiring import mend
-from omnislip.log_file import read_log
+from omnislip.log_file import read_logs
 from omnislip.model_file import read_model
 
 
@@ -40,22 +40,21 @@ def evaluate_model(
     InputError for logs that `gap find` would refuse as well.
     """
     model = read_model(model_path)
-    logs = [mend(read_log(path, model.kind), model.effects) for path in log_paths]
+    logs = [mend(log, model.effects) for log in read_logs(log_paths, model.kind)]
     machine = machine_for(model, logs)
     checked = check(machine, logs)
     if checked.complaint:
         raise InputError(f"the logs cannot be used: {checked.complaint}")
     cuts = checked.cuts + known_pushes(model)
     runs = [
-        replace(make_run(machine, log, *rows), unit=str(path))
-        for path, log in zip(log_paths, checked.logs, strict=True)
-        for rows in pieces(log, cuts)
-        if rows[1] - rows[0] >= LEAST_ROWS
+        replace(run, unit=log.name)
+        for log in checked.logs
+        for run in usable_runs(machine, log, cuts)
     ]
     if not runs:
         raise InputError(
             f"{', '.join(map(str, log_paths))}: too short to be replayed; a log, or what is left "
-            f"of it between pushes and gaps, must last more than {LEAST_PIECE_S:g} s and have "
+            f"of it between pushes and gaps, must last more than {LEAST_S:g} s and have "
             f"{LEAST_ROWS} rows"
         )
     progress("tuning the noise")

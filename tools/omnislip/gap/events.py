@@ -177,9 +177,18 @@ def as_effect(impact: Impact) -> Effect:
     return Effect("impact", numbers, run=impact.run)
 
 
-def known_pushes(model: Model) -> list[tuple[str, float]]:
-    """Return run and time of the impacts that a model file names."""
-    return [(e.run or "", e.parameters["time_s"]) for e in model.effects if e.name == "impact"]
+def known_pushes(model: Model, logs: Sequence[Log]) -> list[tuple[str, float]]:
+    """Return log and time of the impacts that a model file names.
+
+    A name without folders means every log of that file name.
+    """
+    return [
+        (log.name, effect.parameters["time_s"])
+        for effect in model.effects
+        if effect.name == "impact"
+        for log in logs
+        if f"/{log.name}".endswith(f"/{effect.run}")
+    ]
 
 
 def pieces(log: Log, pushes: Sequence[tuple[str, float]]) -> list[tuple[int, int]]:

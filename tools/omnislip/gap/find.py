@@ -37,7 +37,7 @@ from omnislip.gap.search import SURE_GAIN, Outcome, Selected, first_model, searc
 from omnislip.gap.unknown import Unknown, describe_unknown
 from omnislip.gap.where import Map, Place, describe, map_gap
 from omnislip.gap.wiring import find_wirings, mend
-from omnislip.log_file import Log, read_log
+from omnislip.log_file import Log, read_logs
 from omnislip.model_file import (
     IMPACT_KEYS,
     Effect,
@@ -166,7 +166,7 @@ def find_gap(
     if effects_path is not None:
         model = with_definitions(model, read_definitions(effects_path), effects_path)
     progress(f"reading {len(log_paths)} logs")
-    logs = [mend(read_log(path, model.kind), model.effects) for path in log_paths]
+    logs = [mend(log, model.effects) for log in read_logs(log_paths, model.kind)]
     machine = machine_for(model, logs)
     files = [path for path in (model_path, effects_path, *log_paths) if path is not None]
     inputs = {str(path): _sha256(path) for path in files}
@@ -181,7 +181,7 @@ def find_gap(
     if checked.complaint:
         return _insufficient(machine, checked.complaint, inputs, wirings)
     progress("looking for impacts")
-    cuts += known_pushes(model)
+    cuts += known_pushes(model, logs)
     runs = [run for log in logs for run in usable_runs(machine, log, cuts)]
     known = split_runs(machine, logs, cuts)
     if not known.enough:
