@@ -134,6 +134,13 @@ MISTAKES = {
     "camera frozen": (lambda g: frozen(g, POSE, 2.0, 4.0), "the pose does not change"),
     "supply in millivolts": (lambda g: times(g, ["supply/voltage_v"], 1e3), "is it in mV?"),
     "current in milliamperes": (lambda g: times(g, ["wheel/3/current_a"], 1e3), "is it in mA?"),
+    "position frozen": (
+        lambda g: frozen(g, POSE[:2], 2.0, 4.0),
+        "the position (pose/x_m, pose/y_m)",
+    ),
+    "heading frozen": (lambda g: frozen(g, POSE[2:], 2.0, 4.0), "pose/theta_rad does not change"),
+    "x dead": (lambda g: times(g, POSE[:1], 0.0), "pose/x_m does not change from 0.00"),
+    "y dead": (lambda g: times(g, POSE[1:2], 0.0), "pose/y_m does not change from 0.00"),
     "encoder dead": (lambda g: times(g, [COUNTS[1]], 0.0), "wheel/2/encoder_counts stands still"),
 }
 
@@ -202,6 +209,41 @@ def test_columns_that_are_not_logged_are_no_mistake(two_logs, missing, blank):
     logs = [without(replace(g, columns=g.columns | nothing), missing) for g in two_logs]
     checked = check(MACHINE, logs)
     assert (checked.complaint, checked.cuts) == (None, [])
+
+
+def straight(direction_deg, speed_m_s):
+    """4 s along a line by sensors without noise, then half a second of rest."""
+    along = np.deg2rad(direction_deg)
+    velocity = [speed_m_s * np.cos(along), speed_m_s * np.sin(along), 0.0]
+    commands = [
+        {"t_s": 0.0, "kind": "velocity", "value": velocity},
+        {"t_s": 4.0, "kind": "velocity", "value": [0.0, 0.0, 0.0]},
+    ]
+    scenario = Scenario("run", 4.5, MODEL, commands)
+    return make_log(scenario, simulate_truth(scenario))
+
+
+STILL = {0.0: POSE[1:2], 90.0: POSE[:1], 30.0: [COUNTS[0], COUNTS[2]]}
+
+
+@pytest.mark.parametrize("direction_deg", STILL)
+def test_what_rightly_does_not_change_is_not_dead(direction_deg):
+    """The other coordinate of a way along x or y; two wheels that roll sideways at 30 degrees."""
+    calm = times(straight(direction_deg, 0.4), STILL[direction_deg], 0.0)
+    assert check(MACHINE, [calm]).complaint is None
+
+
+def test_a_robot_at_rest_has_no_dead_sensors(good):
+    resting = times(good, [n for n in good.columns if not n.startswith("pose/")], 0.0)
+    assert check(MACHINE, [good, times(resting, POSE, 0.0)]).complaint is None
+
+
+def test_an_encoder_that_is_dead_in_gentle_driving_is_told():
+    """Duties too small to say at any moment that the wheel has to turn."""
+    log = straight(0.0, 0.2)
+    assert np.abs(log.columns["wheel/2/duty"]).max() < 0.15
+    dead = times(log, [COUNTS[1]], 0.0)
+    assert "wheel/2/encoder_counts never changes" in check(MACHINE, [dead]).complaint
 
 
 def test_a_heading_alone_is_checked_too(good):

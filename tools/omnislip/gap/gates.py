@@ -61,6 +61,8 @@ MOST_JUMPS = 0.05
 STILL_S = 0.3
 MOST_TURN_RAD = 0.5
 BLIND_DUTY = 0.15
+LEAST_WAY_M = 0.3
+"""What never changes in a log is dead if the robot has gone as far as this."""
 OTHER_TRAVEL, OTHER_SPEED = 0.06, 0.15
 """Share by which travel per turn and speed per duty may differ between logs of one robot."""
 SURE = 5.0
@@ -213,7 +215,9 @@ def _jumping_counts(machine: Machine, log: Log) -> str | None:
 
 def _stuck_encoder(machine: Machine, log: Log) -> str | None:
     """A counter that stands still while its motor is driven and the other wheels run."""
-    speed = np.abs(np.diff(_wheel_travel_m(machine, log), axis=0)) / np.diff(log.t_s)[:, None]
+    steps_m = np.abs(np.diff(_wheel_travel_m(machine, log), axis=0))
+    speed, way_m = steps_m / np.diff(log.t_s)[:, None], steps_m.sum(axis=0)
+    duty = np.abs([log.columns[f"wheel/{wheel}/duty"] for wheel in range(1, 5)]).mean(axis=1)
     for wheel, name in enumerate(ROBOT_CHANNELS[:4], 1):
         still = np.diff(log.columns[name]) == 0
         driven = np.abs(log.columns[f"wheel/{wheel}/duty"][:-1]) > BLIND_DUTY
@@ -224,6 +228,10 @@ def _stuck_encoder(machine: Machine, log: Log) -> str | None:
                     f"{name} stands still from {log.t_s[begin]:.2f} to {log.t_s[end]:.2f} s while "
                     f"its motor is driven and the other wheels turn"
                 )
+        # A wheel may rightly stand still in a whole log, but its motor then does hardly anything.
+        usual_m, usual_duty = (np.median(np.delete(v, wheel - 1)) for v in (way_m, duty))
+        if way_m[wheel - 1] == 0 and usual_m > LEAST_WAY_M and duty[wheel - 1] > usual_duty / 2:
+            return f"{name} never changes, though its motor is driven and the other wheels turn"
     return None
 
 
@@ -240,10 +248,29 @@ def _flat(machine: Machine, log: Log) -> str | None:
     for begin, end in _unchanged(log, "gyro/z_rad_s"):
         if np.ptp(_smooth(rate[begin : end + 1])) > 0.5:
             return _stands_still("gyro/z_rad_s", log, begin, end)
-    for begin, end in _unchanged(log, *POSE_COLUMNS):
-        moved = np.ptp(travel[begin : end + 1], axis=0)
-        if moved[:2].max() > 0.1 or moved[2] > 0.3:
-            return _stands_still("the pose", log, begin, end)
+    sensors = (
+        ("the pose", POSE_COLUMNS, (0.1, 0.1, 0.3)),
+        ("the position (pose/x_m, pose/y_m)", POSE_COLUMNS[:2], (LEAST_WAY_M, LEAST_WAY_M, np.inf)),
+        ("pose/theta_rad", POSE_COLUMNS[2:], (np.inf, np.inf, 0.3)),
+    )
+    for name, columns, most in sensors:
+        for begin, end in _unchanged(log, *columns):
+            if np.any(np.ptp(travel[begin : end + 1], axis=0) > most):
+                return _stands_still(name, log, begin, end)
+    return _flat_coordinate(log, travel)
+
+
+def _flat_coordinate(log: Log, travel: Array) -> str | None:
+    """One of x and y that never changes, though by wheels and heading the robot goes that way."""
+    rows = _sampled(log, *POSE_COLUMNS)
+    if rows.size < 10:
+        return None
+    heading = np.unwrap(log.columns["pose/theta_rad"][rows])
+    steps = np.diff(travel[rows, 0] + 1j * travel[rows, 1])
+    way = np.cumsum(steps * np.exp(0.5j * (heading[1:] + heading[:-1])))
+    for name, gone in zip(POSE_COLUMNS[:2], (way.real, way.imag), strict=True):
+        if np.ptp(log.columns[name][rows]) == 0 and np.ptp(gone) > LEAST_WAY_M:
+            return _stands_still(name, log, rows[0], rows[-1])
     return None
 
 
@@ -367,7 +394,7 @@ def _wrong_scale(machine: Machine, log: Log) -> str | None:
         if low < ratio < high:
             continue
         for factor, unit in UNITS[name].items():
-            if abs(np.log(abs(ratio) / factor)) < np.log(2):
+            if factor / 2 < abs(ratio) < 2 * factor:
                 return f"{name} shows {ratio:.3g} times the {what} of the wheels: is it in {unit}?"
         return (
             f"{name} shows {ratio:.3g} times the {what} of the wheels: wrong unit, or "
