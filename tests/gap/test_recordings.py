@@ -1,5 +1,7 @@
 """From a log to what the engine replays: units, wraps, blanks, the first state."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from axis_bench import Bench, make_log, make_machine
@@ -7,7 +9,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import Noise, track_all
-from omnislip.gap.recordings import ROBOT_CHANNELS, make_run, unwrap_counts, wheel_jacobian
+from omnislip.gap.recordings import (
+    ROBOT_CHANNELS,
+    make_run,
+    unused_columns,
+    unwrap_counts,
+    wheel_jacobian,
+)
 from omnislip.log_file import POSE_COLUMNS, Log
 from omnislip.model_file import NOMINAL_ROBOT, read_model
 
@@ -105,6 +113,28 @@ def test_a_piece_of_a_log_is_the_rows_asked_for():
     counts = unwrap_counts(log.columns["wheel/1/encoder_counts"])[8:16]
     np.testing.assert_allclose(piece.outputs[:, 0], counts * RAD_PER_COUNT)
     assert piece.recording.rows == 8
+
+
+def test_columns_that_nothing_uses_are_named():
+    """A supply that is always 0, a current that is constant in one log; all others vary."""
+    nothing, wave = np.zeros(5), np.arange(5.0)
+    logs = [
+        Log("run", wave, {"supply/voltage_v": nothing, "wheel/1/current_a": current})
+        for current in (wave, nothing)
+    ]
+    assert unused_columns(ROBOT, logs) == [
+        "supply/voltage_v (does not vary in 2 of 2 logs)",
+        "wheel/1/current_a (does not vary in 1 of 2 logs)",
+    ]
+
+
+def test_axis_does_not_use_its_speed(tmp_path):
+    machine = make_machine(tmp_path)
+    log = make_log(Bench(), seed=1, duration_s=1.0)
+    assert unused_columns(machine, [log]) == []
+    speed = {"axis/speed_m_s": log.t_s, "supply/voltage_v": log.t_s}
+    both = replace(log, columns=log.columns | speed)
+    assert unused_columns(machine, [both]) == list(speed)
 
 
 def test_axis_has_one_channel_in_its_own_unit(tmp_path):

@@ -7,7 +7,7 @@ A blank cell means "not sampled in this row"; it is NaN in memory. Which columns
               pose/theta_rad (world frame)
     axis      axis/command (volt, ampere or duty, as the model says; blank = drive off, no current
               flows), axis/position_m or axis/position_rad; optional axis/speed_m_s,
-              axis/speed_rad_s, supply/voltage_v
+              axis/speed_rad_s, supply/voltage_v, which nothing uses yet
     odometry  wheel/1..n/encoder_counts, pose/x_m, pose/y_m, pose/theta_rad; optional gyro/z_rad_s,
               which nothing uses yet
 """

@@ -32,7 +32,14 @@ from omnislip.gap.metrics import (
 )
 from omnislip.gap.plan import Separation, separating_manoeuvre
 from omnislip.gap.predictable import Predictable, predictable_shares
-from omnislip.gap.recordings import ODOMETRY_CHANNELS, Run, first_pose, machine_for, make_run
+from omnislip.gap.recordings import (
+    ODOMETRY_CHANNELS,
+    Run,
+    first_pose,
+    machine_for,
+    make_run,
+    unused_columns,
+)
 from omnislip.gap.search import SURE_GAIN, Outcome, Selected, first_model, search
 from omnislip.gap.unknown import Unknown, describe_unknown
 from omnislip.gap.where import Map, Place, describe, map_gap
@@ -168,6 +175,9 @@ def find_gap(
     progress(f"reading {len(log_paths)} logs")
     logs = [mend(log, model.effects) for log in read_logs(log_paths, model.kind)]
     machine = machine_for(model, logs)
+    unused = unused_columns(machine, logs)
+    if unused:
+        progress(f"not used: {', '.join(unused)}")
     files = [path for path in (model_path, effects_path, *log_paths) if path is not None]
     inputs = {str(path): _sha256(path) for path in files}
     reason = _too_little(machine, logs)

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from omnislip import _core
 from omnislip.errors import InputError
 from omnislip.gap.machine import Machine
-from omnislip.log_file import POSE_COLUMNS, Log
+from omnislip.log_file import AXIS_OPTIONAL, POSE_COLUMNS, Log
 from omnislip.model_file import Model
 
 Array = npt.NDArray[np.float64]
@@ -144,6 +144,19 @@ def machine_for(model: Model, logs: Sequence[Log]) -> Machine:
     """Return the believed machine with the outputs that the logs have."""
     measured = any(_varies(log.columns.get(name)) for log in logs for name in ELECTRIC_CHANNELS)
     return Machine(model, electric=model.kind == "robot" and measured)
+
+
+def unused_columns(machine: Machine, logs: Sequence[Log]) -> list[str]:
+    """Return what nothing uses: columns that a machine has no output for, constant measurements."""
+    known = ELECTRIC_CHANNELS if machine.kind == "robot" else ("gyro/z_rad_s", *AXIS_OPTIONAL)
+    unused = []
+    for name in known:
+        there = [log.columns[name] for log in logs if name in log.columns]
+        if machine.kind != "robot" and there:
+            unused.append(name)
+        elif constant := sum(not _varies(values) for values in there):
+            unused.append(f"{name} (does not vary in {constant} of {len(logs)} logs)")
+    return unused
 
 
 def _varies(values: Array | None) -> bool:
