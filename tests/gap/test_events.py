@@ -117,4 +117,4 @@ def test_a_log_is_cut_at_its_own_pushes_and_short_pieces_are_dropped():
     log = Log("run_02", t_s, {})
     cut = pieces(log, [("run_02", 2.0), ("run_02", 2.5), ("run_01", 4.0)])
     spans = [(t_s[a], t_s[b - 1]) for a, b in cut]
-    assert spans == [(0.0, pytest.approx(1.99)), (pytest.approx(2.55), pytest.approx(5.99))]
+    assert spans == [(0.0, pytest.approx(1.98)), (pytest.approx(2.55), pytest.approx(5.99))]

@@ -256,6 +256,21 @@ def test_a_wrong_model_is_not_blamed_on_the_sensors():
     assert np.sqrt(found.output[5]) < 2.5e-3 * np.exp(SENSOR_MARGIN / 2) * 2.0
 
 
+@pytest.mark.parametrize(("sensor", "output"), [("gyro", 4), ("pose", 5)])
+def test_logs_without_a_sensor_do_not_say_how_noisy_it_is(sensor, output):
+    """First and last of five: of those that are tuned by, most lack the sensor.
+
+    One run of 5 s says less of it than three do.
+    """
+    machine = Machine(read_model(NOMINAL_ROBOT))
+    case = TruthCase(5, runs=5, run_duration_s=5.0, sensors=("gyro", "pose"))
+    both = runs_of(machine, case)
+    fewer = runs_of(machine, replace(case, sensors=tuple({"gyro", "pose"} - {sensor})))
+    mixed = [fewer[0], *both[1:4], fewer[4]]
+    found = [tune_noise(machine, runs, machine.believed).output[output] for runs in (both, mixed)]
+    assert 1 / 1.5 < np.sqrt(found[1] / found[0]) < 1.5
+
+
 def test_a_model_that_runs_away_is_named_with_its_log(robot):
     """Friction that drives: its filter leaves the numbers within some rows."""
     known = {c.effect: c for c in robot.machine.candidates()}

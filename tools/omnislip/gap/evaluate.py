@@ -45,7 +45,7 @@ def evaluate_model(
     checked = check(machine, logs)
     if checked.complaint:
         raise InputError(f"the logs cannot be used: {checked.complaint}")
-    cuts = checked.cuts + known_pushes(model)
+    cuts = checked.cuts + known_pushes(model, checked.logs)
     runs = [
         replace(run, unit=log.name)
         for log in checked.logs

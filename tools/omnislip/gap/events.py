@@ -62,8 +62,9 @@ LEAST_BETWEEN_S = 4.0
 REPLAY_STEP_S = 1e-3
 TIMES, SPAN_S, SPAN_ROWS, COARSE = 12, 0.024, 2, 4
 """How many times of a push are tried, over that span or so many rows up to the likeliest row."""
-CUT_S = 0.05
-"""Left out after a push: the contact of the pusher."""
+BEFORE_S, CUT_S = 0.01, 0.05
+"""Left out before and after the time of a push: how early a light one may have been, and the
+contact of the pusher."""
 LEAST_PIECE_S = 1.0
 VELOCITY, HEADING = slice(8, 11), 13
 PROBE = np.array([0.05, 0.05, 0.1])
@@ -195,7 +196,7 @@ def pieces(log: Log, pushes: Sequence[tuple[str, float]]) -> list[tuple[int, int
     """Return the row ranges between the pushes (run, time) of a log that are long enough to use."""
     edges = [0]
     for time_s in sorted(time_s for run, time_s in pushes if run == log.name):
-        edges += [int(np.searchsorted(log.t_s, t)) for t in (time_s, time_s + CUT_S)]
+        edges += [int(np.searchsorted(log.t_s, t)) for t in (time_s - BEFORE_S, time_s + CUT_S)]
     edges.append(len(log.t_s))
     ranges = list(zip(edges[::2], edges[1::2], strict=True))
     return [(a, b) for a, b in ranges if b > a and log.t_s[b - 1] - log.t_s[a] > LEAST_PIECE_S]

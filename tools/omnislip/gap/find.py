@@ -198,7 +198,7 @@ def find_gap(
         return _insufficient(machine, _too_cut(known), inputs, wirings)
     noise, first = first_model(machine, known.fitting)
     impacts = find_impacts(machine, runs, first.flat(machine.believed), noise)
-    for _ in range(2):  # again where a push shows only beside the final model
+    for left in reversed(range(3)):  # again where a push shows only beside the final model
         pushes = cuts + [(impact.run, impact.time_s) for impact in impacts]
         split = split_runs(machine, logs, pushes)
         if not split.enough:
@@ -207,9 +207,10 @@ def find_gap(
         progress("looking for impacts with the final model")
         values = outcome.final.hypothesis.flat(machine.believed)
         confirmed = find_impacts(machine, runs, values, outcome.data.noise)
-        fresh = [new for new in confirmed if not any(new.near(old) for old in impacts)]
-        impacts = confirmed
-        if not fresh:
+        cut_out = [new for new in confirmed if any(new.near(old) for old in impacts)]
+        settled = len(cut_out) == len(confirmed)
+        impacts = confirmed if left else cut_out  # what was fitted as well is not to be told
+        if settled:
             break
     if outcome.selected or outcome.leftover:
         reason = logged_set_points(machine, logs, outcome.final.hypothesis.flat(machine.believed))

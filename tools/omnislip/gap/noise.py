@@ -255,10 +255,15 @@ class _Path:
 
 
 def _some_runs(runs: Sequence[Run]) -> list[Run]:
-    """Runs from the whole range, `TUNING_TIME_S` together or a little more."""
+    """Runs from the whole range, `TUNING_TIME_S` together or more, with every sensor in one."""
     share = TUNING_TIME_S / max(sum(run.duration_s for run in runs), 1e-9)
     count = int(np.clip(np.ceil(share * len(runs)), 1, len(runs)))
-    return [runs[k] for k in np.linspace(0, len(runs) - 1, count).round().astype(int)]
+    chosen = set(np.linspace(0, len(runs) - 1, count).round().astype(int))
+    shown = np.array([~np.isnan(run.outputs).all(axis=0) for run in runs])
+    for sensor in shown.T:
+        if sensor.any() and not sensor[list(chosen)].any():
+            chosen.add(int(np.argmax(sensor)))
+    return [runs[k] for k in sorted(chosen)]
 
 
 def _second_differences(values: Array) -> Array:
@@ -269,12 +274,13 @@ def _second_differences(values: Array) -> Array:
 def _median_variance(runs: Sequence[Run], columns: Sequence[int], least: float) -> float:
     """Variance of the white noise of sensors; by medians, robust."""
     found = [
-        float(np.median(np.abs(second)) ** 2 / 0.6745**2) if second.size else 0.0
+        float(np.median(np.abs(second)) ** 2 / 0.6745**2)
         for run in runs
         for c in columns
         for second in [_second_differences(run.outputs[:, c])]
+        if second.size
     ]
-    return max(float(np.median(found)), least)
+    return max(float(np.median(found)), least) if found else least
 
 
 def _quiet_variance(runs: Sequence[Run], columns: Sequence[int], least: float) -> float:
