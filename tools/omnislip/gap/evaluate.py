@@ -21,8 +21,8 @@ from pathlib import Path
 from typing import Any
 
 from omnislip.errors import InputError
-from omnislip.gap.events import known_pushes
-from omnislip.gap.find import LEAST_ROWS, LEAST_S, usable_runs
+from omnislip.gap.events import LEAST_PIECE_S, known_pushes
+from omnislip.gap.find import LEAST_ROWS, usable_runs
 from omnislip.gap.gates import check
 from omnislip.gap.metrics import gap_table, replay_all
 from omnislip.gap.noise import tune_noise
@@ -54,7 +54,7 @@ def evaluate_model(
     if not runs:
         raise InputError(
             f"{', '.join(map(str, log_paths))}: too short to be replayed; a log, or what is left "
-            f"of it between pushes and gaps, must last more than {LEAST_S:g} s and have "
+            f"of it between pushes and gaps, must last more than {LEAST_PIECE_S:g} s and have "
             f"{LEAST_ROWS} rows"
         )
     progress("tuning the noise")
