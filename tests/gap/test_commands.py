@@ -161,6 +161,14 @@ def test_too_little_data_is_work_done(case, omnislip, tmp_path):
     assert report.rstrip().endswith("</html>")
 
 
+def test_find_does_not_replace_the_model_that_it_is_given(omnislip, axis_files, tmp_path):
+    (tmp_path / "robot.toml").write_text((tmp_path / "axis.toml").read_text())
+    before = (tmp_path / "robot.toml").read_bytes()
+    ended = omnislip("gap", "find", "--robot", "robot.toml", "--out", ".", *axis_files)
+    assert_refused(ended, ["robot.toml", "another folder"])
+    assert (tmp_path / "robot.toml").read_bytes() == before
+
+
 def test_evaluate_refuses_a_log_that_is_too_short(omnislip, tmp_path):
     write_log(still_log(40), tmp_path / "run.csv")
     ended = omnislip("gap", "evaluate", "--robot", NOMINAL_ROBOT, "run.csv")

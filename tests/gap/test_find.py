@@ -51,12 +51,12 @@ def selected(name, gain, inflation=1.0, variation=0.0):
     return Selected(candidate, np.ones(1), evidence, (), 1.0)
 
 
-def verdict_of(effects, leftover_gain=0.0, jolts=False, feigned_gain=0.0):
-    """Verdict where replays are as near as they can be and nothing was refused."""
+def verdict_of(effects, leftover_gain=0.0, jolts=False, feigned_gain=0.0, table=None):
+    """Verdict where nothing was refused, and without a table replays are as near as can be."""
     left = [SimpleNamespace(gain=leftover_gain, inflation=1.0)] if leftover_gain else []
     data = SimpleNamespace(feigned_gain=feigned_gain)
     outcome = SimpleNamespace(selected=effects, leftover=left, trials=(), data=data)
-    table = SimpleNamespace(left=Left(0.0, 1.0), closed=Closed(1.0, 0.9, 1.1))
+    table = table or SimpleNamespace(left=Left(0.0, 1.0), closed=Closed(1.0, 0.9, 1.1))
     return find._verdict(outcome, table, False, [], jolts)
 
 
@@ -80,6 +80,25 @@ def test_a_small_rest_is_what_rows_hide(gain, verdict):
 
 def test_a_rest_that_a_controller_may_feign_is_none():
     assert verdict_of([], 150.0, feigned_gain=200.0) == "no_gap"
+
+
+@pytest.mark.parametrize(
+    ("source", "excess", "error", "verdict"),
+    [
+        ("repeated manoeuvres", 0.4, 0.1, "no_gap"),
+        ("repeated manoeuvres", 1.0, 0.1, "unknown_effect"),
+        ("repeated manoeuvres", 1.0, 0.5, "no_gap"),
+        ("the predictor's noise", 20.0, 0.1, "no_gap"),
+        ("the predictor's noise", 30.0, 0.1, "unknown_effect"),
+        ("the predictor's noise", 30.0, np.inf, "no_gap"),
+    ],
+)
+def test_held_out_runs_far_off_are_no_gap_to_pass_over(source, excess, error, verdict):
+    left, closed = Left(excess, error), Closed(None, None, None)
+    assert (
+        verdict_of([], table=SimpleNamespace(left=left, closed=closed, floor_source=source))
+        == verdict
+    )
 
 
 def test_what_jolts_more_often_than_anybody_pushes_is_unknown():
@@ -410,7 +429,7 @@ def test_slivers_beside_a_cut_are_not_used(tmp_path):
     log = Log("run", t_s, {"axis/command": np.sin(t_s), "axis/position_m": np.sin(t_s)})
     model, _ = axis_case(tmp_path, seeds=())
     split = split_runs(Machine(read_model(model)), [log], [("run", 2.05)])
-    assert [round(run.duration_s, 2) for run in split.fitting] == [2.05, 2.25, 2.25, 2.25]
+    assert [round(run.duration_s, 2) for run in split.fitting] == [2.04, 2.25, 2.25, 2.25]
 
 
 @pytest.mark.parametrize("lost", [(-1.0, 1.0), (0.5, 3.5), (-1.0, 4.0)], ids=str)

@@ -203,6 +203,13 @@ def test_a_gap_json_asks_for_its_ambiguous_set(tmp_path):
     assert question.channels == ("gyro/z_rad_s",)
 
 
+def test_a_gap_json_asks_for_what_is_ambiguous_of_the_nearest_too(tmp_path):
+    near = {"name": "payload", "wheel": None, "parameters": {}, "ambiguous_with": ["cog_offset"]}
+    path = gap_file(tmp_path, [])
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"nearest": [near]}))
+    assert planning.read_gap(path).names == ["payload", "cog_offset"]
+
+
 @pytest.mark.parametrize("text", ["", "{", "[]", '{"effects": 3}', '{"effects": [], "gap": null}'])
 def test_a_gap_json_without_a_question_is_refused(text, tmp_path):
     (tmp_path / "gap.json").write_text(text)

@@ -42,6 +42,8 @@ def find(
     from omnislip.gap.report import render
 
     check_folder(out)
+    if robot.resolve() == (out / "robot.toml").resolve():
+        raise InputError(f"{out}: the amended model would replace {robot}; take another folder")
     with progress() as say:
         findings = find_gap(robot, logs, say, effects)
         say("drawing the report")

@@ -93,6 +93,9 @@ not what is there; and the inflation, 1 for white residuals, from which that is 
 EXPLAINED = 0.9
 LEAST_EXCESS = 0.5
 """Excess of the square error, in noise floors, that counts as something left."""
+FAR_EXCESS = 24.0
+"""The same from which no floor is an excuse: five floors off in RMSE, where nothing is missing 1.8
+at most (150 nulls against repeated manoeuvres; the predictor's noise gives higher floors)."""
 SURE = 3.0
 """Standard errors by which an excess has to stand out."""
 LEAST_TIME_S = 3.0
@@ -379,14 +382,15 @@ def _much_is_left(table: GapTable) -> bool:
     """Whether replays of held-out runs stay clearly above the floor.
 
     With effects: they surely close less than `EXPLAINED` of the gap. Without: against repeated
-    manoeuvres only, for the predictor's own noise takes a gap that nothing explains for chance.
+    manoeuvres, for the predictor's own noise takes a gap that nothing explains for chance; far
+    above in any case, for a held-out run may hold what no fitted one does.
     """
     left, closed = table.left, table.closed
     if left.excess < LEAST_EXCESS or left.excess < SURE * left.standard_error:
         return False
     if closed.high is not None:
         return closed.high < EXPLAINED
-    return table.floor_source == REPEATED
+    return table.floor_source == REPEATED or left.excess > FAR_EXCESS
 
 
 def _steps(
@@ -586,6 +590,9 @@ def _sentence(
             f" {100 * one.evidence.variation:.0f} % from half second to half second"
             for one in _varying(outcome.selected)
         )
+        if _much_is_left(table):
+            off = (1.0 + table.left.excess) ** 0.5
+            text += f"; replays of held-out runs are {off:.2g} noise floors off"
         if not (unknown or outcome.leftover) and shapes:
             like = shapes[0]
             text += f"; most of it looks like {like.equation}, depending on {like.dependence}"

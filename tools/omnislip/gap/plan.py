@@ -403,7 +403,7 @@ def read_gap(path: Path) -> Question:
     """Return the question of the first ambiguous effect of a gap.json, with its size there."""
     try:
         result = json.loads(path.read_text(encoding="utf-8"))
-        effects = result["effects"]
+        effects = [*result["effects"], *result.get("nearest", [])]
         logged = result["gap"]["channels"] if result["gap"] else ROBOT_CHANNELS
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
