@@ -1,18 +1,22 @@
 """Chance cannot be predicted; a force that no term was made for can."""
 
+from dataclasses import replace
+
 import pytest
 from omnislip.gap.find import LASTING_SHARE, PREDICTED_SHARE
 from omnislip.gap.machine import Machine
 from omnislip.gap.predictable import EQUATIONS, predictable_shares
+from omnislip.gap.recordings import make_run
 from omnislip.gap.search import believed_hypothesis, settle
 from omnislip.gap.truth import TruthCase
 from omnislip.model_file import NOMINAL_ROBOT, read_model
+from omnislip.scenario import read_scenario
+from omnislip.simulate import run_scenario
 from truth_bench import runs_of
 
 
 def shares_of(effects=(), runs=6, seed=3, **changed):
-    """Shares beside the believed model, its keys and the noise fitted."""
-    machine = Machine(read_model(NOMINAL_ROBOT))
+    """Shares of runs of the generator."""
     case = TruthCase(
         seed,
         effects=effects,
@@ -22,7 +26,12 @@ def shares_of(effects=(), runs=6, seed=3, **changed):
         sensors=("gyro", "pose"),
         **changed,
     )
-    logs = runs_of(machine, case)
+    machine = Machine(read_model(NOMINAL_ROBOT))
+    return shares_in(machine, runs_of(machine, case))
+
+
+def shares_in(machine, logs):
+    """Shares beside the believed model, its keys and the noise fitted."""
     data, fitted = settle(machine, logs, believed_hypothesis(machine))
     values = fitted.hypothesis.flat(machine.believed)
     return predictable_shares(machine, logs, data.noise, values, values)
@@ -33,6 +42,16 @@ def test_chance_cannot_be_predicted():
     assert {one.equation for one in found} == set(EQUATIONS)
     assert found[0].share < 0.05
     assert max(one.share for one in found if one.from_own_past) < LASTING_SHARE / 4
+
+
+def test_rounding_that_every_run_repeats_is_nothing_to_be_predicted():
+    """Simulated runs of one scenario differ in the noise of their sensors alone."""
+    scenario = read_scenario(NOMINAL_ROBOT.parents[1] / "scenarios" / "identification.toml")
+    machine = Machine(scenario.model)
+    logs = [run_scenario(replace(scenario, seed=seed)).log for seed in range(1, 5)]
+    logs = [replace(log, name=f"run_{seed}") for seed, log in enumerate(logs)]
+    found = shares_in(machine, [make_run(machine, log) for log in logs])
+    assert max(one.share for one in found) < LASTING_SHARE / 4
 
 
 def test_chance_that_a_controller_answers_cannot_be_predicted():

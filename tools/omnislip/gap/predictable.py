@@ -54,6 +54,9 @@ CHANCE_S = 0.03
 """Disturbances fade at 40 per second or faster (noise.py)."""
 OWN_PAST_S = (0.06, 0.09, 0.13, 0.18)
 REST = 0.2
+SEEN = 1e-3
+"""Share of the variance that the noise allows below which the filter saw no disturbances: what it
+makes of rounded counts in a simulation is the same in every run of the same commands."""
 PAST_S = (0.005, 0.01, 0.02, 0.05)
 TREES = {"max_iter": 50, "learning_rate": 0.1, "max_leaf_nodes": 8, "min_samples_leaf": 40}
 
@@ -97,6 +100,7 @@ def predictable_shares(
         owners.append(np.full(len(rows), names.index(run.name)))
     x, past, y, owner = (np.concatenate(each) for each in (features, pasts, targets, owners))
     least = REST * np.sum(np.concatenate(there) ** 2, axis=0)
+    least = np.maximum(least, SEEN * noise.coloured * len(y))
     folds = [range(first, len(names), FOLDS) for first in range(min(FOLDS, len(names)))]
     found = []
     for index, equation in enumerate(EQUATIONS):
