@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -145,6 +146,7 @@ TOO_LITTLE = {
     "a wheel that never moves": lambda: still_log(
         2000, **{"wheel/2/encoder_counts": np.zeros(2000)}
     ),
+    "milliseconds": lambda: replace(still_log(2000), t_s=5.0 * np.arange(2000)),
 }
 
 
