@@ -171,6 +171,18 @@ def test_find_does_not_replace_the_model_that_it_is_given(omnislip, axis_files, 
     assert (tmp_path / "robot.toml").read_bytes() == before
 
 
+@pytest.mark.parametrize("command", [["evaluate"], ["find", "--out", "gap"]], ids=lambda c: c[0])
+def test_a_model_too_stiff_to_simulate_is_refused(command, omnislip, tmp_path):
+    stiff = re.sub(r"(slip_stiffness_s_m) = [0-9.]+", r"\1 = 1e9", NOMINAL_ROBOT.read_text())
+    (tmp_path / "robot.toml").write_text(stiff)
+    write_log(still_log(2000), tmp_path / "run.csv")
+    ended = omnislip("gap", *command, "--robot", "robot.toml", "run.csv")
+    assert ended.status == 2
+    last = ended.stderr.splitlines()[-1]  # after progress
+    assert last.startswith("omnislip: error: the model is too stiff")
+    assert "Traceback" not in ended.stderr
+
+
 def test_evaluate_refuses_a_log_that_is_too_short(omnislip, tmp_path):
     write_log(still_log(40), tmp_path / "run.csv")
     ended = omnislip("gap", "evaluate", "--robot", NOMINAL_ROBOT, "run.csv")

@@ -222,9 +222,11 @@ class progress:  # noqa: N801 - used as a statement
             self._status.start()
         return self._say
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, _kind: object, error: BaseException | None, _trace: object) -> None:
         if self._console.is_terminal:
             self._status.stop()
+        if isinstance(error, ValueError) and "too stiff" in str(error):  # the plant's word for it
+            raise InputError(str(error)) from None
 
     def _say(self, text: str) -> None:
         elapsed_s = time.monotonic() - self._begin
