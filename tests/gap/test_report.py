@@ -505,3 +505,14 @@ def test_wiring_and_impacts_are_shown_before_the_effects(found, verdict):
     assert places == sorted(places)
     rows = [page.index(f"<tr><td>{push.run}</td>") for push in pushes]
     assert places[1] < rows[0] < rows[1] < places[2]
+
+
+def test_what_refines_an_effect_is_among_its_sizes(machines):
+    robot = machines["robot"]
+    curve = next(c for c in robot.candidates() if c.effect == "contact_shape")
+    [roller] = [e for e in robot.extensions("contact_shape") if e.parameters[0].label == "roller"]
+    whole = replace(
+        curve, parameters=curve.parameters + roller.parameters, amplitudes=(*curve.amplitudes, 1)
+    )
+    page = Page(render(findings_of(robot, "effect_found", [whole]), COMMAND_LINE))
+    assert any(row[0] == "roller" for row in page.rows)

@@ -176,7 +176,7 @@ def _effects(findings: Findings, numbers: Json) -> list[Json]:
             "entry": machine.catalogue[selected.candidate.effect],
             "sizes": [
                 {"name": name, "unit": _unit(machine, selected.candidate, name), **size}
-                for name, size in effect["parameters"].items()
+                for name, size in (effect["parameters"] | effect["refinement"]).items()
             ],
             "rivals": [(rival, _summary(machine, rival)) for rival in effect["ambiguous_with"]],
             "stability": effect["evidence"]["stability"],
