@@ -187,8 +187,13 @@ def search(
             current = without  # the gain was that of the keys, which had not settled
             continue
         gained += gain
+        nearest = [s.candidate for s in screened[:NEIGHBOURS]]
+        # What shows only beside the newest effect may be what an older one was taken for.
+        neighbours = {
+            name: own + [c for c in nearest if c not in own] for name, own in neighbours.items()
+        }
         for fresh in accepted.hypothesis.effects[len(current.hypothesis.effects) :]:
-            neighbours[fresh.name] = [s.candidate for s in screened[:NEIGHBOURS]]
+            neighbours[fresh.name] = nearest
             candidates = [c for c in candidates if c.name != fresh.name]
         data, current = settle(machine, runs, accepted.hypothesis, data.noise)
         current = _patch_again(data, _extend(machine, data, current))
