@@ -838,14 +838,14 @@ def _takes_its_place(
     """Whether a rival explains clearly more than an effect, or loses only what chance gives."""
     own = len(without.hypothesis.effects)
     evidence = weigh(data, without, rival, own)
-    [check] = check_unseen(data, without, [rival])
-    sizes = rival.hypothesis.values_of(own)
-    if not check.helps or _within_row(data, rival.hypothesis.effects[own], sizes):
+    candidate, sizes = rival.hypothesis.effects[own], rival.hypothesis.values_of(own)
+    lost = judged.gain - evidence.gain
+    spared = len(effect.parameters) - len(candidate.parameters)
+    as_good = spared > 0 and _no_more_than_chance(lost, judged.inflation, spared)
+    if not as_good and -lost <= RIVAL_MARGIN * evidence.inflation:
         return False
-    spared = len(effect.parameters) - len(rival.hypothesis.effects[own].parameters)
-    if spared > 0 and _no_more_than_chance(judged.gain - evidence.gain, judged.inflation, spared):
-        return True
-    return evidence.gain - judged.gain > RIVAL_MARGIN * evidence.inflation
+    [check] = check_unseen(data, without, [rival])
+    return check.helps and not _within_row(data, candidate, sizes)
 
 
 def _rivals_of(
