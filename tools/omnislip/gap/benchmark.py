@@ -44,7 +44,7 @@ from omnislip.gap.recordings import Run
 from omnislip.gap.search import believed_hypothesis
 from omnislip.gap.truth import TruthCase, random_case, write_case
 from omnislip.gap.truth_effects import EFFECTS, UNKNOWN_EFFECTS
-from omnislip.log_file import Log, read_log
+from omnislip.log_file import read_logs
 
 Array = npt.NDArray[np.float64]
 Pair = tuple[str, int | None]
@@ -167,16 +167,16 @@ def solve(case: dict[str, Any]) -> Outcome:
 def _solve_in(folder: Path, task: Task) -> dict[str, Any]:
     """Write logs, truth and gap.json into the folder; return the row."""
     truth = write_case(task.case, folder)
+    log_paths = sorted(folder.glob("run_*.csv"))
     begin = time.monotonic()
-    findings = find_gap(folder / "robot.toml", sorted(folder.glob("run_*.csv")), _silent)
+    findings = find_gap(folder / "robot.toml", log_paths, _silent)
     seconds = time.monotonic() - begin
     found = to_json(findings)
     found["inputs_sha256"] = {Path(p).name: mark for p, mark in found["inputs_sha256"].items()}
     (folder / "gap.json").write_bytes(_json(found))
     row = score(truth, found) | _about(task) | {"time_s": seconds}
     row["chance"] = _least_chance(findings)
-    logs = [read_log(path, findings.machine.kind) for path in sorted(folder.glob("run_*.csv"))]
-    oracle, seen = _ask_oracle(findings, logs, truth)
+    oracle, seen = _ask_oracle(findings, log_paths, truth)
     return row | seen | _ask_others(findings, truth, oracle)
 
 
@@ -330,7 +330,7 @@ NOT_SEEN = {"lambda": None, "gap_closed": None, "gap_closed_oracle": None}
 
 
 def _ask_oracle(
-    findings: Findings, logs: Sequence[Log], truth: dict[str, Any]
+    findings: Findings, log_paths: Sequence[Path], truth: dict[str, Any]
 ) -> tuple[Hypothesis | None, dict[str, Any]]:
     """Fit the true structure: its model, how visible it is, how much of the gap it closes.
 
@@ -338,7 +338,8 @@ def _ask_oracle(
     logs the oracle tells nothing else.
     """
     machine, outcome = findings.machine, findings.outcome
-    runs = findings.split.fitting if outcome else split_runs(machine, logs).fitting
+    split = findings.split if outcome else split_runs(machine, read_logs(log_paths, machine.kind))
+    runs = split.fitting
     structure = _true_structure(machine, runs, truth)
     if structure is None or not (outcome or truth["effects"]):
         return None, NOT_SEEN
