@@ -126,6 +126,14 @@ def test_a_log_that_find_would_refuse_is_refused(tmp_path):
         evaluate_model(tmp_path / "robot.toml", [tmp_path / "run_01.csv"], silent)
 
 
+def test_evaluate_refuses_a_log_in_milliseconds(tmp_path):
+    model, [path] = axis_files(tmp_path, rubbing([1]))
+    log = read_log(path, "axis")
+    write_log(replace(log, t_s=1e3 * log.t_s), path)
+    with pytest.raises(InputError, match=r"rows of run_01 are 5 s apart.*t_s counts seconds"):
+        evaluate_model(model, [path], silent)
+
+
 @pytest.mark.parametrize("duration_s", [0.02, 0.2, 0.9])
 def test_a_log_that_is_too_short_is_refused(duration_s, tmp_path):
     files = axis_files(tmp_path, rubbing([1], duration_s=duration_s))

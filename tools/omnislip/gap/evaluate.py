@@ -23,7 +23,7 @@ from typing import Any
 from omnislip.errors import InputError
 from omnislip.gap.events import LEAST_PIECE_S, known_pushes
 from omnislip.gap.find import LEAST_ROWS, usable_runs
-from omnislip.gap.gates import check
+from omnislip.gap.gates import check, rows_far_apart
 from omnislip.gap.metrics import gap_table, replay_all
 from omnislip.gap.noise import tune_noise
 from omnislip.gap.recordings import machine_for
@@ -42,6 +42,9 @@ def evaluate_model(
     model = read_model(model_path)
     logs = [mend(log, model.effects) for log in read_logs(log_paths, model.kind)]
     machine = machine_for(model, logs)
+    far_apart = rows_far_apart(logs)
+    if far_apart:
+        raise InputError(f"the logs cannot be used: {far_apart}")
     checked = check(machine, logs)
     if checked.complaint:
         raise InputError(f"the logs cannot be used: {checked.complaint}")

@@ -16,7 +16,7 @@ from omnislip import _core
 from omnislip.errors import InputError
 from omnislip.files import write_text
 from omnislip.gap.events import Impact, as_effect, find_impacts, known_pushes, pieces, too_often
-from omnislip.gap.gates import check, logged_set_points, too_poor
+from omnislip.gap.gates import check, logged_set_points, rows_far_apart, too_poor
 from omnislip.gap.inference import Data, fit, prior_penalty
 from omnislip.gap.inverse import relative_force_error
 from omnislip.gap.leftover import Leftover, find_shapes
@@ -98,7 +98,7 @@ FAR_EXCESS = 24.0
 at most (150 nulls against repeated manoeuvres; the predictor's noise gives higher floors)."""
 SURE = 3.0
 """Standard errors by which an excess has to stand out."""
-LEAST_TIME_S, MOST_ROW_S = 3.0, 0.5
+LEAST_TIME_S = 3.0
 LEAST_TRAVEL = 20.0
 """Motion, in steps of the position sensor, below which nothing can be learned."""
 LEAST_ROWS, LEAST_S = 50, 2 * _core.SETTLE_S
@@ -498,13 +498,9 @@ def _cut(log: Log, end: int, count: int) -> list[tuple[str, bool, Log, int, int]
 
 def _too_little(machine: Machine, logs: Sequence[Log]) -> str | None:
     """Return why these logs cannot teach anything, or None."""
-    for log in logs:
-        row_s = float(np.median(np.diff(log.t_s))) if len(log.t_s) > 1 else 0.0
-        if row_s > MOST_ROW_S:
-            return (
-                f"the rows of {log.name} are {row_s:g} s apart, at most {MOST_ROW_S:g} s show how "
-                "a machine moves; t_s counts seconds"
-            )
+    far_apart = rows_far_apart(logs)
+    if far_apart:
+        return far_apart
     total = sum(float(log.t_s[-1] - log.t_s[0]) for log in logs)
     if total < LEAST_TIME_S:
         return f"the logs hold {total:.2g} s, at least {LEAST_TIME_S:g} s are needed"

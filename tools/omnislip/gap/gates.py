@@ -29,6 +29,7 @@ from omnislip.log_file import POSE_COLUMNS, Log
 
 Array = npt.NDArray[np.float64]
 
+MOST_ROW_S = 0.5
 GAP_S = 0.1
 """Rows may be missing; from here on the log is cut."""
 LATE_S = 0.08
@@ -99,6 +100,18 @@ def check(machine: Machine, logs: Sequence[Log]) -> Checked:
         mended.append(better)
         cuts += [(log.name, t) for t in jumps]
     return Checked(mended, cuts, _other_robot(machine, mended))
+
+
+def rows_far_apart(logs: Sequence[Log]) -> str | None:
+    """Say which log has its rows too far apart, or None. Anything else takes hours on them."""
+    for log in logs:
+        row_s = float(np.median(np.diff(log.t_s))) if len(log.t_s) > 1 else 0.0
+        if row_s > MOST_ROW_S:
+            return (
+                f"the rows of {log.name} are {row_s:g} s apart, at most {MOST_ROW_S:g} s show how "
+                "a machine moves; t_s counts seconds"
+            )
+    return None
 
 
 def _complaint(machine: Machine, log: Log) -> str | None:
