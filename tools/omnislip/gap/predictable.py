@@ -16,11 +16,12 @@ of then. In a closed loop commands answer chance too, and all is taken from then
 
 Nor does chance last. What bumps of the floor, sticky places or a ripple of the supply add need not
 go with any of these, but it goes on for a tenth of a second and more, where chance has faded to a
-hundredth. So the disturbances' own past is asked too, linearly. No term has to
-be guessed beforehand, so this finds hysteresis, products and thresholds too; it does not say what
-they are (unknown.py tries to). Beside effects that explain nearly everything a small rest may well
-be predictable, for no shape is exact: then the share is one of `REST` of the disturbances without
-the effects, where that is more.
+hundredth. So the disturbances' own past is asked too, linearly.
+
+No term has to be guessed beforehand, so this finds hysteresis, products and thresholds too; it does
+not say what they are (unknown.py tries to). Beside effects that explain nearly everything a small
+rest may well be predictable, for no shape is exact: then the share is one of `REST` of the
+disturbances without the effects, where that is more.
 """
 
 from collections.abc import Sequence
@@ -53,6 +54,7 @@ LEAST_RUNS = 3
 CHANCE_S = 0.03
 """Disturbances fade at 40 per second or faster (noise.py)."""
 OWN_PAST_S = (0.06, 0.09, 0.13, 0.18)
+"""At the first chance has faded to a tenth, at the last what goes on for longer still shows."""
 REST = 0.2
 SEEN = 1e-3
 """Share of the variance that the noise allows below which the filter saw no disturbances: what it
@@ -104,15 +106,15 @@ def predictable_shares(
     folds = [range(first, len(names), FOLDS) for first in range(min(FOLDS, len(names)))]
     found = []
     for index, equation in enumerate(EQUATIONS):
+        target = y[:, index]
+        whole = np.bincount(owner, target**2, minlength=len(names))
         for known, predicted in ((x, _by_trees), (past[:, index], _by_line)):
-            left, whole = np.zeros(len(names)), np.zeros(len(names))
+            error = np.empty_like(target)
             for fold in folds:
                 unseen = np.isin(owner, list(fold))
-                error = y[unseen, index] - predicted(
-                    known[~unseen], y[~unseen, index], known[unseen]
-                )
-                left += np.bincount(owner[unseen], error**2, minlength=len(names))
-                whole += np.bincount(owner[unseen], y[unseen, index] ** 2, minlength=len(names))
+                learned = predicted(known[~unseen], target[~unseen], known[unseen])
+                error[unseen] = target[unseen] - learned
+            left = np.bincount(owner, error**2, minlength=len(names))
             share = float((whole.sum() - left.sum()) / max(whole.sum(), least[index], 1e-300))
             helped = int(np.sum(left < whole))
             found.append(Predictable(equation, predicted is _by_line, share, helped, len(names)))
