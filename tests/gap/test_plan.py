@@ -146,13 +146,17 @@ def test_what_the_planned_manoeuvre_separates_gap_find_names(ranked, tmp_path):
 # ---- as gap find asks for it ----
 
 
+def known_of(name, sizes):
+    """A log of a robot that has this effect, and the true hypothesis."""
+    truth, own = truth_of(name, sizes)
+    run = noisy(replace(MODEL, effects=[MACHINE.effect_of(own, sizes)]), "headings")
+    noise = first_guess(MACHINE, [run])
+    return planning.Data(MACHINE, [run], noise, truth.flat(MACHINE.believed)), truth
+
+
 def test_what_the_logs_know_already_counts():
     """Beside the log on which the rival was fitted the same manoeuvre tells more than alone."""
-    truth, own = truth_of("body_drag", [4.0])
-    model = replace(MODEL, effects=[MACHINE.effect_of(own, [4.0])])
-    run = noisy(model, "headings")
-    noise = first_guess(MACHINE, [run])
-    data = planning.Data(MACHINE, [run], noise, truth.flat(MACHINE.believed))
+    data, truth = known_of("body_drag", [4.0])
     best = planning.separating_manoeuvre(MACHINE, data, truth, 0, ["quadratic_body_drag"])
     assert set(best.as_json()) == {
         "name",
@@ -166,11 +170,7 @@ def test_what_the_logs_know_already_counts():
 
 def test_a_patch_among_the_rivals_ends_no_search():
     """Nothing is planned against what may be anywhere."""
-    truth, own = truth_of("low_grip", [0.8])
-    model = replace(MODEL, effects=[MACHINE.effect_of(own, [0.8])])
-    run = noisy(model, "headings")
-    noise = first_guess(MACHINE, [run])
-    data = planning.Data(MACHINE, [run], noise, truth.flat(MACHINE.believed))
+    data, truth = known_of("low_grip", [0.8])
     rivals = ["body_drag", "slippery_patch"]
     assert planning.separating_manoeuvre(MACHINE, data, truth, 0, rivals) is None
 

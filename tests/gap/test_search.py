@@ -178,6 +178,39 @@ def test_what_gave_way_to_another_is_looked_for_again(machine, monkeypatch):
     assert sorted(names(outcome)) == ["coulomb_friction", "dead_zone"]
 
 
+def test_what_is_refused_is_judged_again_by_the_noise_that_is_left_beside_it(machine, monkeypatch):
+    """Noise that was tuned without an effect covers it; by that noise it is refused here."""
+    better, noises = search_module._replays_better, []
+
+    def refused_by_the_first(data, *models):
+        noises.append(data.noise)
+        return data.noise is not noises[0] and better(data, *models)
+
+    monkeypatch.setattr(search_module, "_replays_better", refused_by_the_first)
+    outcome = find(machine, Bench(coulomb_n=2.0))
+    assert names(outcome) == ["coulomb_friction"]
+    [taken] = [trial for trial in outcome.trials if trial.accepted]
+    assert taken.reason.startswith("by the noise that is left beside it: ")
+
+
+def test_what_shows_beside_the_newest_effect_is_a_rival_of_the_older_one(machine, monkeypatch):
+    """With one rival each the older effect has two: its own and that of the newest."""
+    swap, offered = search_module._swap, []
+
+    def recorded(data, fitted, neighbours, progress):
+        offered.append({name: [c.name for c in own] for name, own in neighbours.items()})
+        return swap(data, fitted, neighbours, progress)
+
+    monkeypatch.setattr(search_module, "NEIGHBOURS", 1)
+    monkeypatch.setattr(search_module, "_swap", recorded)
+    find(machine, Bench(coulomb_n=2.0, dead_zone_v=0.1))
+    first, second = offered[:2]
+    [older] = first
+    [newest] = second.keys() - {older}
+    assert second[older] == first[older] + second[newest]
+    assert second[newest] != first[older]
+
+
 def test_mass_and_inertia_of_an_axis_cannot_be_told_apart(machine):
     """One number, two names: one is named, the other is said to do as well."""
     [selected] = find(machine, Bench(mass_kg=11.0)).selected
