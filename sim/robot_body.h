@@ -161,7 +161,7 @@ class RobotBody {
     void integrate(double time_s, double duration_s) {
         /* LoggedCommands::step_s without looking back, so that a replay takes the same steps */
         const bool jumped = jump_s_ > times_s_.back() - kJumpSettles_s;
-        const double step_s = jumped ? std::min(step_s_, kJumpStep_s) : step_s_;
+        const double step_s = jumped ? jump_step_s(step_s_) : step_s_;
         /* With a memory as in a replay: teeth that meet are of no order. */
         const Rule rule = motion_->remembers() ? Rule::kRk4 : Rule::kMerson;
         motion_->advance(x_, duties(), time_s, duration_s, step_s, rule, looked_, in_);

@@ -331,8 +331,8 @@ class RobotPlant : public RobotLayout {
         bristles_ = any_differs(c_.bristle_length_m, 4, 0.0);
         soft_ = any_differs(c_.play_rad, 4, 0.0) || any_differs(c_.stiffness_nm_rad, 4, kUnbounded);
         heats_ = any_differs(c_.heating_1_a2_s, 4, 0.0);
-        remembers_ =
-            inductive_ || heats_ || bristles_ || soft_ || any_differs(c_.driver_lag_s, 4, 0.0);
+        lags_ = any_differs(c_.driver_lag_s, 4, 0.0);
+        remembers_ = lags_ || inductive_ || heats_ || bristles_ || soft_;
     }
 
     /* The part of begin_step that needs the memory. */
@@ -344,12 +344,14 @@ class RobotPlant : public RobotLayout {
             put(warm_conductance_s(x, i), conductance_s + i);
         for (int i = 0; i < 4; ++i) {
             const S *begin = x + i;
-            const auto driver = Relaxation<S>::over(S(length_s), c_.driver_lag_s[i]);
+            const auto driver = lags_ ? Relaxation<S>::over(S(length_s), c_.driver_lag_s[i])
+                                      : Relaxation<S>::at_once(length_s);
             const S ahead = step.duty[i] - begin[kDrivenDuty];
             step.duty_rate_1_s[i] = driver.gained * S(step.inverse_s) * ahead;
             step.duty[i] = step.duty[i] - driver.left * ahead;
             const auto coil =
-                Relaxation<S>::over(S(length_s), c_.inductance_h[i] * conductance_s[i]);
+                inductive_ ? Relaxation<S>::over(S(length_s), c_.inductance_h[i] * conductance_s[i])
+                           : Relaxation<S>::at_once(length_s);
             step.coil_gained[i] = coil.gained;
             step.coil_left[i] = coil.left;
             step.current_a[i] = begin[kCoilCurrent];
@@ -374,7 +376,8 @@ class RobotPlant : public RobotLayout {
             put(steady_current_a(i, x + kSpeed, step, in), steady_a + i);
         for (int i = 0; i < 4; ++i) {
             const S rate_1_s = step.coil_gained[i] * S(step.inverse_s);
-            const S heating = in.current_a[i] * in.current_a[i] - x[kHeat + i] / S(kCoolingTime_s);
+            const S heating =
+                in.current_a[i] * in.current_a[i] - x[kHeat + i] * S(1.0 / kCoolingTime_s);
             dx[kDrivenDuty + i] = step.duty_rate_1_s[i];
             dx[kCoilCurrent + i] = rate_1_s * (steady_a[i] - step.current_a[i]);
             dx[kHeat + i] = settles ? S(0.0) : heating;
@@ -883,8 +886,8 @@ class RobotPlant : public RobotLayout {
     bool load_moves_ = false, off_centre_ = false, bus_sags_ = false;
     S per_mass_, per_inertia_, per_gear_ratio_, per_shaft_inertia_[4], conductance_s_;
     SoftGear<S> gear_[4];
-    bool delays_ = false, remembers_ = false, inductive_ = false, heats_ = false;
-    bool bristles_ = false, soft_ = false, shows_late_ = false;
+    bool delays_ = false, remembers_ = false, lags_ = false, inductive_ = false;
+    bool heats_ = false, bristles_ = false, soft_ = false, shows_late_ = false;
 };
 
 }  // namespace OMNISLIP_INSTRUCTION_SET
