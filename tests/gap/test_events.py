@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from omnislip.gap import events
 from omnislip.gap.events import (
     Impact,
     as_effect,
@@ -91,6 +92,23 @@ def test_what_another_run_of_the_same_commands_has_too_is_no_push(
     push, none = np.array([-0.5, 2.0, 0.0]), np.zeros(3)
     impacts = [Impact("run_01", 2.5, push, none), Impact(run_of_other, time_of_other_s, push, none)]
     assert len(without_repeated(runs, impacts)) == kept
+
+
+@pytest.mark.parametrize(("braking_fraction", "before_row"), [(1.0, 4), (0.3, 4), (0.3, 1)])
+def test_a_driver_that_freewheels_switches_where_its_command_changes_sign(
+    tmp_path, braking_fraction, before_row
+):
+    """Unsure are the rows in which a command may cross zero: two here, of 5 ms; 2 mu g each."""
+    write_case(TruthCase(seed=3, runs=1, run_duration_s=1.0), tmp_path)
+    machine = Machine(read_model(tmp_path / "robot.toml"))
+    t_s = 0.005 * np.arange(10)
+    falling = np.array([0.12, 0.12, 0.10, 0.05, 0.01, -0.01, -0.06, -0.1, -0.1, -0.1])
+    run = SimpleNamespace(t_s=t_s, command=falling[:, None] * np.ones(4))
+    model = machine.believed.copy()
+    model[machine.place("driver_freewheel", "braking_fraction", None)[0]] = braking_fraction
+    unsure_s = 0.01 if braking_fraction < 1.0 and before_row == 4 else 0.0
+    feigned = events._feigned_m_s(machine, run, before_row, model)
+    assert feigned == pytest.approx(2.0 * 0.6 * 9.81 * unsure_s)
 
 
 @pytest.mark.parametrize(("pushes", "often"), [(0, False), (1, False), (5, False), (6, True)])

@@ -116,7 +116,7 @@ def find_impacts(
                 row = pushes.likeliest_row(peak)
                 filtered = track.state.reshape(len(run.t_s), -1)
                 impact = _size_up(machine, run, row, values, noise, filtered, jump[row])
-                least = max(LEAST_JUMP_M_S, _feigned_m_s(machine, run, row))
+                least = max(LEAST_JUMP_M_S, _feigned_m_s(machine, run, row, values))
                 plausible = least <= impact.jump_m_s(machine) <= MOST_JUMP_M_S
                 confirmed = impact.gain >= LEAST_RATIO and impact.explained >= REPLAYED
                 if plausible and confirmed and impact.misfit <= MOST_MISFIT:
@@ -153,22 +153,29 @@ def _commands_around(runs: Sequence[Run], push: Impact) -> Array:
     return np.stack([np.interp(time_s, run.t_s, column) for column in run.command.T], axis=1)
 
 
-def _feigned_m_s(machine: Machine, run: Run, row: int) -> float:
+def _feigned_m_s(machine: Machine, run: Run, row: int, model: Array) -> float:
     """Return the jump of the body that jumps of the command before and beside the row may feign.
 
     When within a row wheels break loose or grip again the log does not tell: for up to a row on
     either side of a jump the body is pulled with mu g, or is not. What earlier jumps of the horizon
-    left shows no later than where the wheels grip. Jumps after the row may answer the push.
+    left shows no later than where the wheels grip. Jumps after the row may answer the push. Drivers
+    that brake only under a reversed command switch where it changes its sign within a row.
     """
     values = machine.model.values
     grip_m_s2 = values["contact.mu_drive"] * values["contact.gravity_m_s2"]
     rows_s = np.diff(run.t_s, append=run.t_s[-1])
-    jumps = np.abs(np.diff(run.command, axis=0, prepend=run.command[:1])).max(axis=1) > COMMAND_JUMP
+    change = np.abs(np.diff(run.command, axis=0))
+    into, out_of = (np.pad(change, ends) for ends in (((1, 0), (0, 0)), ((0, 1), (0, 0))))
+    jumps = into.max(axis=1) > COMMAND_JUMP
     beside = slice(max(row - 1, 0), row + 3)
     before = slice(int(np.searchsorted(run.t_s, run.t_s[row] - HORIZON_S)), beside.start)
     unsure_s = float(np.sum(rows_s[before][jumps[before]]))
     if jumps[beside].any():
         unsure_s += float(rows_s[beside].max())
+    if model[machine.place("driver_freewheel", "braking_fraction", None)[0]] != 1.0:
+        switches = np.any(np.abs(run.command) <= 0.5 * np.maximum(into, out_of), axis=1)
+        near = slice(before.start, beside.stop)
+        unsure_s += float(np.sum(rows_s[near][switches[near] & ~jumps[near]]))
     return float(2.0 * grip_m_s2 * unsure_s)
 
 
