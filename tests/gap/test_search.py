@@ -10,7 +10,10 @@ from omnislip.gap import search as search_module
 from omnislip.gap.inference import fit
 from omnislip.gap.machine import Machine
 from omnislip.gap.recordings import make_run
-from omnislip.gap.search import search, stability_of
+from omnislip.gap.search import believed_hypothesis, screen, search, settle, stability_of
+from omnislip.gap.truth import TruthCase, write_case
+from omnislip.gap.truth_effects import HiddenEffect
+from omnislip.log_file import read_log
 from omnislip.model_file import Effect, read_model, write_model
 from scipy.stats import binom
 
@@ -209,6 +212,20 @@ def test_what_shows_beside_the_newest_effect_is_a_rival_of_the_older_one(machine
     [newest] = second.keys() - {older}
     assert second[older] == first[older] + second[newest]
     assert second[newest] != first[older]
+
+
+def test_a_threshold_between_two_starts_is_found(tmp_path):
+    """An encoder loses counts beyond 78 rad/s; starts are at 50, 100, 150, ..."""
+    lost = {"fraction": 0.03, "speed_rad_s": 78.0}
+    hidden = HiddenEffect("encoder_dropout", lost, 2).as_dict()
+    write_case(TruthCase(seed=5, effects=(hidden,), runs=3, run_duration_s=4.0), tmp_path)
+    robot = Machine(read_model(tmp_path / "robot.toml"))
+    logs = [read_log(path, "robot") for path in sorted(tmp_path.glob("run_*.csv"))]
+    runs = [replace(make_run(robot, log), unit=log.name) for log in logs]
+    data, current = settle(robot, runs, believed_hypothesis(robot))
+    dropout = [c for c in robot.candidates() if (c.effect, c.wheel) == ("encoder_dropout", 2)]
+    [fitted] = search_module._refit(data, current, screen(data, current, dropout))
+    assert fitted.hypothesis.values_of(0) == pytest.approx(list(lost.values()), rel=0.03)
 
 
 def test_mass_and_inertia_of_an_axis_cannot_be_told_apart(machine):

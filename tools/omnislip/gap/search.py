@@ -82,6 +82,11 @@ PATCH_SCALES, PATCH_SHARE = (0.3, 0.5, 0.7, 0.9), 0.2
 the screen are coarse, but explain more than a fifth of what the right ones do."""
 EDGE_HALVINGS, EDGE_STEPS = 3, np.array([-1.0, 1.0])
 """An edge moves over a grid, then by halves, quarters and eighths of its spacing."""
+THRESHOLDS = {"encoder_dropout": 1}
+"""Parameters that only the rows show in which a speed passes them."""
+THRESHOLD_FACTORS = tuple(2.0 ** (0.5**halving) for halving in range(1, 6))
+SIZE_FACTORS = (0.8, 1.0, 1.25)
+"""Steps of a threshold, ever smaller, and of the size that goes with it."""
 
 
 @dataclass(frozen=True)
@@ -430,11 +435,13 @@ def _refit(data: Data, current: Fit, screened: Sequence[Screened]) -> list[Fit]:
 
 
 def _edges_moved(data: Data, current: Fit, start: Hypothesis) -> Hypothesis:
-    """Move the edges of a patch in the floor to where they explain most, in turn.
+    """Move the edges of a patch in the floor to where they explain most, in turn, or a threshold.
 
     No derivative leads there: only rows at the edge itself have one. Other effects stay.
     """
     candidate = start.effects[-1]
+    if candidate.effect in THRESHOLDS:
+        return _threshold_moved(data, current, start, THRESHOLDS[candidate.effect])
     if not candidate.edges_m:
         return start
     spacing_m = candidate.edges_m[1] - candidate.edges_m[0]
@@ -444,6 +451,23 @@ def _edges_moved(data: Data, current: Fit, start: Hypothesis) -> Hypothesis:
         for level in range(1, EDGE_HALVINGS + 1):
             near = start.values_of(len(start.effects) - 1)[edge] + spacing_m * EDGE_STEPS / 2**level
             start = _edge_moved(data, current, start, edge, near)
+    return start
+
+
+def _threshold_moved(data: Data, current: Fit, start: Hypothesis, index: int) -> Hypothesis:
+    """Move the parameter `index` of the last effect by ever smaller factors."""
+    candidate = start.effects[-1]
+    low, high = ([getattr(p, end) for p in candidate.parameters] for end in ("low", "high"))
+    for factor in THRESHOLD_FACTORS:
+        now = start.values_of(len(start.effects) - 1)
+        offered = [start]
+        for step in (1.0 / factor, 1.0, factor):
+            for scale in SIZE_FACTORS:
+                sizes = now.copy()
+                sizes[index] *= step
+                sizes[list(candidate.amplitudes)] *= scale
+                offered.append(current.hypothesis.with_effect(candidate, np.clip(sizes, low, high)))
+        start = offered[int(np.argmin(costs_refitted(data, current, offered)))]
     return start
 
 
