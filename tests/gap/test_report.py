@@ -335,6 +335,16 @@ def test_rivals_make_the_name_uncertain(machines):
     assert "weak_motor (wheel 3) : " + machine.catalogue["weak_motor"]["summary"] in text
 
 
+@pytest.mark.parametrize("gave_way", [False, True])
+def test_what_was_taken_and_gave_way_later_is_told(machines, gave_way):
+    findings = make(machines, "robot", "effect_found")
+    if gave_way:
+        selected = findings.outcome.selected[1:]
+        findings = replace(findings, outcome=replace(findings.outcome, selected=selected))
+    text = Page(render(findings, COMMAND_LINE)).text
+    assert ("it is not in the model" in text) == gave_way
+
+
 @pytest.mark.parametrize("verdict", ["effect_found", "unknown_effect"])
 def test_what_the_gap_looks_like_is_shown_for_a_known_and_an_unknown_cause(machines, verdict):
     effects = machines["robot"].candidates()[:1] if verdict == "effect_found" else ()

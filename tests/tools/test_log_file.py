@@ -92,6 +92,7 @@ BAD_FILES = {
     "one row": ("t_s,axis/command,axis/position_m\n0,0,0\n", ["at least 2 rows", "1"]),
     "no header": ("0.0,1.0,2.0\n0.1,1.0,2.0\n", ["first column must be 't_s'", "'0.0'"]),
     "time not first": (AXIS.replace("t_s,axis/command", "axis/command,t_s"), ["first column"]),
+    "semicolons": (AXIS.replace(",", ";"), ["'t_s;axis/command", "commas separate columns"]),
     "comment line": ("# bench\n" + AXIS, ["first column must be 't_s'", "# bench"]),
     "column missing": (AXIS.replace("axis/position_m", "axis/speed_m_s"), ["axis/position_m"]),
     "column doubled": (AXIS.replace("position_m", "command"), ["axis/command", "twice"]),

@@ -95,6 +95,11 @@ MISTAKES = {
     "negative friction": ("= 1.5e-5", "= -1.0", ["motor.viscous_friction_nm_s", "0 or more"]),
     "broken count": ("= 2000", "= 2000.5", ["encoder.counts_per_rev", "whole number"]),
     "three angles": ("[30.0, 150.0, 210.0, 330.0]", "[30, 150, 210]", ["list of 4"]),
+    "angles in radians": (
+        "[30.0, 150.0, 210.0, 330.0]",
+        "[0.524, 2.618, 3.665, 5.760]",
+        ["robot.wheel_angles_deg", "degrees are expected, not radians"],
+    ),
     "angle as text": ("30.0, 150.0", '"30", 150.0', ["robot.wheel_angles_deg[0]"]),
     "name as number": ('"msl-omni-4"', "4", ["robot.name", "text"]),
     "bad kind": ("[robot]", '[model]\nkind = "car"\n[robot]', ["kind", "odometry"]),
@@ -192,9 +197,13 @@ def test_missing_folder_and_binary_files_are_named(tmp_path):
 POSITIVE_NUMBERS = st.floats(min_value=1e-300, max_value=1e300)
 
 
+def in_degrees(angles: list[float]) -> bool:
+    return max(angles) - min(angles) >= 2 * math.pi if angles else True
+
+
 def values_of(keys: dict[str, str], wheel_counts: tuple[int, int]) -> st.SearchStrategy:
     low, high = wheel_counts
-    angles = st.lists(st.floats(-1e6, 1e6), min_size=low, max_size=high)
+    angles = st.lists(st.floats(-1e6, 1e6), min_size=low, max_size=high).filter(in_degrees)
     by_rule = {
         ANGLES: angles,
         COUNT: st.integers(1, 10**9).map(float),

@@ -150,7 +150,8 @@ def _read_csv(path: Path) -> pd.DataFrame:
 def _check_first_column(names: list[str], path: Path) -> None:
     first = names[0] if names else ""
     if first != "t_s":
-        raise InputError(f"{path}: the first column must be 't_s', not '{first}'")
+        hint = "; commas separate columns" if ";" in first or "\t" in first else ""
+        raise InputError(f"{path}: the first column must be 't_s', not '{first[:40]}'{hint}")
 
 
 def _check_columns(names: list[str], kind: str, path: Path) -> tuple[list[str], list[str]]:

@@ -18,6 +18,7 @@ unknown and missing keys are errors.
 
 import copy
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -331,7 +332,13 @@ def _read_value(value: object, key: str, rule: str, kind: str, path: Path) -> fl
         count = len(value) if isinstance(value, list) else 0
         most, least = MAX_ODOMETRY_WHEELS, MIN_ODOMETRY_WHEELS
         wanted = 4 if kind == "robot" else min(max(count, least), most)
-        return check_numbers(value, wanted, key, path)
+        angles = check_numbers(value, wanted, key, path)
+        if max(angles) - min(angles) < 2.0 * math.pi:
+            raise InputError(
+                f"{path}: '{key}' has all wheels in the same place; degrees are expected, not "
+                f"radians: {value}"
+            )
+        return angles
     number = check_number(value, key, path)
     in_range = number >= 0 if rule in (NOT_NEGATIVE, ACUTE) else number > 0
     in_range = in_range and (rule != ACUTE or number < 90)

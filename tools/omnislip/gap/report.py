@@ -302,16 +302,19 @@ def _steps(findings: Findings) -> list[Json]:
     if not findings.outcome:
         return []
     trials = findings.outcome.trials
+    final = {one.candidate.name for one in findings.outcome.selected}
     steps = []
     for number in sorted({trial.step for trial in trials}):
         own = [trial for trial in trials if trial.step == number]
         rows = [{"trial": t, "sizes": _trial_sizes(findings.machine, t)} for t in own]
+        taken = next((row for row in rows if row["trial"].accepted), None)
         steps.append(
             {
                 "number": number,
                 "picture": report_pictures.ranking_picture(own),
                 "trials": rows,
-                "taken": next((row for row in rows if row["trial"].accepted), None),
+                "taken": taken,
+                "gave_way": taken is not None and taken["trial"].candidate.name not in final,
             }
         )
     return steps

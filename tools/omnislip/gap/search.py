@@ -889,7 +889,8 @@ def _compare_rivals(
 ) -> tuple[Selected, ...]:
     """Judge every effect beside all others; strongest first, the friction curve last.
 
-    A friction curve that is not the believed one is so common that it is rarely the news.
+    A friction curve that is not the believed one is so common that it is rarely the news. What a
+    controller that answers within rows feigns decides nothing between rivals either.
     """
     selected = []
     for index, effect in enumerate(final.hypothesis.effects):
@@ -900,7 +901,7 @@ def _compare_rivals(
         nearest = screen(data, without, rivals)[:RIVALS] if rivals else []
         tried = _refit(data, without, nearest)
         lost = [(one.objective - final.objective) / evidence.inflation for one in tried]
-        close = [loss < RIVAL_MARGIN for loss in lost]
+        close = [loss < max(RIVAL_MARGIN, data.feigned_gain) for loss in lost]
         equals = [n.candidate.name for n, near in zip(nearest, close, strict=True) if near]
         losers = [one for one, near in zip(tried, close, strict=True) if not near]
         values = final.hypothesis.values_of(index).copy()
