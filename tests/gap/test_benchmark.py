@@ -1,6 +1,7 @@
 """The benchmark scores what it finds against what was hidden, and resumes where it was."""
 
 import json
+import math
 from dataclasses import asdict
 
 import pandas as pd
@@ -59,6 +60,14 @@ def test_the_size_of_a_scale_is_what_it_lacks_to_one():
         truth(("weak_motor", 2, {"scale": 0.9})), answer(("weak_motor", 2, {"scale": 0.91}))
     )
     assert row["sizes"][0]["error"] == pytest.approx(0.1)
+
+
+def test_a_phase_goes_round():
+    def wave(phase_rad):
+        return ("cogging", None, {"phase_rad": phase_rad})
+
+    [size] = score(truth(wave(3.1)), answer(wave(-3.1)))["sizes"]
+    assert size["error"] == pytest.approx((2 * math.pi - 6.2) / 3.1) and size["inside"]
 
 
 @pytest.mark.parametrize(

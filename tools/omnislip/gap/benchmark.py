@@ -20,6 +20,7 @@ right, its traceback is in error.txt of its folder, and the next call tries it a
 """
 
 import json
+import math
 import tempfile
 import time
 import traceback
@@ -37,7 +38,7 @@ from omnislip.files import replace_file
 from omnislip.gap.baselines import METHODS, ask_baselines, check_installed, replay_errors
 from omnislip.gap.find import Findings, find_gap, split_runs, to_json
 from omnislip.gap.inference import Data, Fit, Hypothesis, fit, weigh
-from omnislip.gap.machine import CURVE, Candidate, Machine
+from omnislip.gap.machine import CURVE, PHASE, Candidate, Machine
 from omnislip.gap.metrics import gap_table, replay_all
 from omnislip.gap.noise import tune_noise
 from omnislip.gap.recordings import Run
@@ -280,7 +281,7 @@ def _wheel_right(wanted: Sequence[tuple], named: Sequence[tuple]) -> bool | None
 def _size_errors(truth: dict[str, Any], found: dict[str, Any]) -> list[dict[str, Any]]:
     """Error of every number of the effects that were named, and whether its interval holds it.
 
-    A size is compared relatively; that of a scale is what it lacks to one.
+    A size is compared relatively; that of a scale is what it lacks to one. Phases go round.
     """
     errors = []
     for hidden in truth["effects"]:
@@ -296,9 +297,11 @@ def _size_errors(truth: dict[str, Any], found: dict[str, Any]) -> list[dict[str,
                 size = abs(value - 1.0) if "scale" in key else abs(value)
                 if size == 0 or not np.isfinite(size):
                     continue
-                inside = one["low"] <= value <= one["high"]
-                error = abs(one["value"] - value) / size
-                errors.append({"parameter": key, "error": error, "inside": inside})
+                short = value - one["value"]
+                if key == PHASE:
+                    short = math.remainder(short, 2.0 * math.pi)
+                inside = one["low"] <= one["value"] + short <= one["high"]
+                errors.append({"parameter": key, "error": abs(short) / size, "inside": inside})
     return errors
 
 
