@@ -324,6 +324,19 @@ def test_a_run_is_judged_by_what_fits_the_others(dry):
         assert check.gains[run] == pytest.approx(min(gains), rel=1e-6)
         assert check.stakes[run] == pytest.approx(np.sum((before - after) ** 2), rel=1e-6)
     assert check.helps and check.helped == 4
+    assert np.all(check.unsure > 0) and np.all(check.unsure < LEAST_STAKE)
+
+
+def test_a_run_of_which_the_others_tell_nothing_does_not_judge(dry):
+    """The same axis, friction seen in one run only: the others leave its size open there."""
+    data, base, fitted = dry
+    jacobian = fitted.jacobian.copy()
+    rows = len(data.per_run(fitted.residual)[0])
+    jacobian[rows:, -1] *= 1e-3
+    [check] = check_unseen(data, base, [replace(fitted, jacobian=jacobian)])
+    assert check.unsure[0] > 100.0 * check.stakes[0]
+    assert check.judges.tolist() == [False, True, True, True]
+    assert check.gain == pytest.approx(np.sum(check.gains[1:]))
 
 
 def test_columns_are_judged_by_what_fits_the_other_runs(dry):
@@ -339,6 +352,8 @@ def test_columns_are_judged_by_what_fits_the_other_runs(dry):
         gain = np.sum(r**2) - np.sum((r + c @ sizes) ** 2)
         assert check.gains[run] == pytest.approx(gain, rel=1e-6)
         assert check.stakes[run] == pytest.approx(np.sum((c @ sizes) ** 2), rel=1e-6)
+        off = np.linalg.inv(left.T @ left)
+        assert check.unsure[run] == pytest.approx(np.sum((c @ off) * c), rel=1e-6)
 
 
 HIGH, LOW = 4.0 * LEAST_STAKE, 0.5 * LEAST_STAKE
@@ -358,4 +373,11 @@ HIGH, LOW = 4.0 * LEAST_STAKE, 0.5 * LEAST_STAKE
     ],
 )
 def test_most_of_the_runs_in_which_something_is_at_stake_have_to_gain(gains, stakes, helps):
-    assert Check(np.array(gains), np.array(stakes)).helps == helps
+    assert Check(np.array(gains), np.array(stakes), np.zeros(len(gains))).helps == helps
+
+
+def test_a_run_that_does_not_judge_has_no_vote():
+    gains, stakes = np.array([9.0, 8.0, 9.0, -300.0]), np.array([HIGH] * 4)
+    assert not Check(gains, stakes, np.zeros(4)).helps
+    check = Check(gains, stakes, np.array([1.0, 1.0, 1.0, 2.0 * HIGH]))
+    assert check.helps and check.helped == 3 and check.gain == 26.0

@@ -375,21 +375,28 @@ class Check:
     """What a change of the model does to each run (runs,) by sizes fitted without its unit.
 
     `gains` is the fall of the square error, `stakes` the square of the change in the fits to all
-    runs. Where the change is right, a gain is its stake +- twice its root.
+    runs. Where the change is right, a gain is its stake +- twice its root, less what the sizes are
+    off by chance: `unsure`, the square error to be expected of that.
     """
 
     gains: Array
     stakes: Array
+    unsure: Array
+
+    @property
+    def judges(self) -> npt.NDArray[np.bool_]:
+        """Runs about which the others tell enough: not one that holds nearly all that is known."""
+        return self.unsure < np.maximum(self.stakes, LEAST_STAKE)
 
     @property
     def gain(self) -> float:
-        """Sum over all runs."""
-        return float(np.sum(self.gains))
+        """Sum over the runs that judge."""
+        return float(np.sum(self.gains[self.judges]))
 
     @property
     def voters(self) -> npt.NDArray[np.bool_]:
-        """Runs in which enough is at stake for the sign of the gain to tell anything."""
-        return self.stakes > LEAST_STAKE
+        """Of these those in which enough is at stake for the sign of the gain to tell anything."""
+        return self.judges & (self.stakes > LEAST_STAKE)
 
     @property
     def helped(self) -> int:
@@ -406,8 +413,9 @@ class Check:
             return False
         if self.helped >= HELPED_SHARE * np.sum(self.voters):
             return True
-        count = len(self.gains)
-        error = np.std(self.gains, ddof=1) / np.sqrt(count) if count > 1 else np.inf
+        gains = self.gains[self.judges]
+        count = len(gains)
+        error = np.std(gains, ddof=1) / np.sqrt(count) if count > 1 else np.inf
         return self.gain / count > error * student.isf(SCATTER_P_VALUE, max(count - 1, 1))
 
 
@@ -424,13 +432,29 @@ def check_unseen(data: Data, without: Fit, fits: Sequence[Fit]) -> list[Check]:
     sets = np.stack([fitted_without_each_unit(data, one) for one in (without, *fits)])
     unseen = _bounded_squares(data, data.residuals_unseen(sets))
     seen = _bounded_squares(data, np.stack([one.residual for one in (without, *fits)]))
+    unsure_without = _unsure(data, without)
     return [
         Check(
             np.minimum(unseen[0] - unseen[k], seen[0] - seen[k]),
             _bounded_squares(data, (one.residual - without.residual)[None])[0],
+            _unsure(data, one) - unsure_without,
         )
         for k, one in enumerate(fits, 1)
     ]
+
+
+def _unsure(data: Data, fitted: Fit) -> Array:
+    """Square error (runs,) to be expected of sizes that were fitted without a run's unit."""
+    grams = np.array([j.T @ j for j in data.per_run(fitted.jacobian)])
+    whole = fitted.information
+    least = 1e-9 * np.diag(np.diag(whole))  # directions of which no other run tells anything
+    left_out = [grams[data.units == unit].sum(0) for unit in data.units]
+    return np.array(
+        [
+            np.trace(np.linalg.solve(whole - own + least, gram))
+            for own, gram in zip(left_out, grams, strict=True)
+        ]
+    )
 
 
 def _bounded_squares(data: Data, residuals: Array) -> Array:
@@ -444,14 +468,15 @@ def check_columns(data: Data, residual: Array, columns: Array) -> Check:
     parts = list(zip(data.per_run(columns), data.per_run(residual), strict=True))
     grams = np.array([c.T @ c for c, _ in parts])
     slopes = np.array([c.T @ r for c, r in parts])
-    gains, stakes = np.empty(len(parts)), np.empty(len(parts))
+    gains, stakes, unsure = (np.empty(len(parts)) for _ in range(3))
     for run, unit in enumerate(data.units):
         others = data.units != unit
         inverse = np.linalg.pinv(grams[others].sum(0), rcond=1e-9, hermitian=True)
         sizes = -inverse @ slopes[others].sum(0)
         stakes[run] = sizes @ grams[run] @ sizes
         gains[run] = -2.0 * sizes @ slopes[run] - stakes[run]
-    return Check(gains, stakes)
+        unsure[run] = np.trace(inverse @ grams[run])
+    return Check(gains, stakes, unsure)
 
 
 def _cost(data: Data, hypothesis: Hypothesis, residual: Array) -> float:

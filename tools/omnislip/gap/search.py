@@ -540,7 +540,7 @@ def _judge(
     if passed and not _differs(candidate, values - absent, evidence):
         reason, passed = "its size cannot be told from none beside the other parameters", False
     sure = evidence.beyond_chance > SURE_GAIN
-    if passed and not _replays_better(data, without, fitted, sure):
+    if passed and not _replays_better(data, without, fitted, check, sure):
         reason, passed = "helps the predictor but not replays of runs that were not fitted", False
     if passed and _within_row(data, candidate, values):
         reason, passed = "shorter than the log can time: a tenth of a row", False
@@ -667,7 +667,7 @@ def _both_pass(data: Data, without: Fit, both: Fit, tried: int) -> bool:
         if not _differs(effect, sizes - absent, evidence) or _within_row(data, effect, sizes):
             return False
         sure = sure and evidence.beyond_chance > SURE_GAIN
-    return _replays_better(data, without, both, sure)
+    return _replays_better(data, without, both, check, sure)
 
 
 def _patch_again(data: Data, fitted: Fit) -> Fit:
@@ -722,16 +722,18 @@ def _no_more_than_chance(gain: float, inflation: float, parameters: int) -> bool
     return gain / inflation < chi2.isf(1e-3, parameters)
 
 
-def _replays_better(data: Data, without: Fit, with_effect: Fit, sure: bool) -> bool:
+def _replays_better(data: Data, without: Fit, with_effect: Fit, check: Check, sure: bool) -> bool:
     """Whether free replays of runs come nearer to the logs, by sizes fitted without their units.
+
+    Of runs about which the others tell enough (`check`).
 
     What helps the predictor only, row by row, describes chance and not the robot. But what comes
     and goes with the turns of a shaft hardly moves a replay: there a `sure` gain decides.
     """
     sets = [fitted_without_each_unit(data, one) for one in (without, with_effect)]
     replays = []
-    for unit in range(len(sets[0])):
-        runs = [data.runs[k] for k in np.flatnonzero(data.units == unit)]
+    for unit in np.unique(data.units[check.judges]):
+        runs = [data.runs[k] for k in np.flatnonzero((data.units == unit) & check.judges)]
         replays += replay_all(data.machine, runs, data.noise, [one[unit] for one in sets])
     if any(np.any(np.isfinite(r.errors[0]) & ~np.isfinite(r.errors[1])) for r in replays):
         return False  # it runs away
