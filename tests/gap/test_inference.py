@@ -330,10 +330,13 @@ def test_a_run_is_judged_by_what_fits_the_others(dry):
 def test_a_run_of_which_the_others_tell_nothing_does_not_judge(dry):
     """The same axis, friction seen in one run only: the others leave its size open there."""
     data, base, fitted = dry
-    jacobian = fitted.jacobian.copy()
+    jacobian, mute = fitted.jacobian.copy(), fitted.jacobian.copy()
     rows = len(data.per_run(fitted.residual)[0])
     jacobian[rows:, -1] *= 1e-3
-    [check] = check_unseen(data, base, [replace(fitted, jacobian=jacobian)])
+    mute[:, -1] = 0.0  # a size that changes nothing anywhere
+    fits = [replace(fitted, jacobian=one) for one in (jacobian, mute)]
+    check, of_mute = check_unseen(data, base, fits)
+    assert of_mute.judges.all()
     assert check.unsure[0] > 100.0 * check.stakes[0]
     assert check.judges.tolist() == [False, True, True, True]
     assert check.gain == pytest.approx(np.sum(check.gains[1:]))

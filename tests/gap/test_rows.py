@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from omnislip.gap import inference
+from omnislip.gap import inference, rows
 from omnislip.gap.inference import Data, fit
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import CURRENT, STEP_S, track_all, track_recordings, tune_noise
@@ -17,7 +17,7 @@ from omnislip.gap.rows import (
 )
 from omnislip.gap.search import believed_hypothesis, screen
 from omnislip.gap.truth import TruthCase
-from omnislip.gap.truth_effects import typical_effect
+from omnislip.gap.truth_effects import HiddenEffect, typical_effect
 from omnislip.model_file import NOMINAL_ROBOT, read_model
 from scipy.stats import chi2
 from truth_bench import runs_of
@@ -157,6 +157,20 @@ def test_a_log_driven_in_open_loop_is_known_as_such(excitation):
     noise = tune_noise(machine, runs, machine.believed)
     data = Data(machine, runs, noise, machine.believed)
     assert columns_of(machine, runs, data.tracks, machine.believed).shape[1] == 2
+
+
+def test_a_programme_is_no_answer_beside_a_wrong_model(monkeypatch):
+    """Beside too much grip innovations tell how the robot moves, and that how commands go on."""
+    grip = HiddenEffect("low_grip", {"scale": 0.6}).as_dict()
+    gravity = HiddenEffect("cog_offset", {"x_m": 0.02, "y_m": 0.02}).as_dict()
+    machine = Machine(MODEL)
+    case = TruthCase(seed=9, friction_curve="brush", effects=(grip, gravity))
+    runs = runs_of(machine, case)
+    noise = tune_noise(machine, runs, machine.believed)
+    tracks = track_all(machine, runs, machine.believed, noise, keep_linear=True)
+    assert not news_of(machine, runs, tracks).answers
+    monkeypatch.setattr(rows, "_motion", lambda states: np.ones((4 * len(states), 1)))
+    assert news_of(machine, runs, tracks).answers
 
 
 @pytest.mark.parametrize("seed", [11, 16])

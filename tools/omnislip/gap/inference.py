@@ -447,7 +447,8 @@ def _unsure(data: Data, fitted: Fit) -> Array:
     """Square error (runs,) to be expected of sizes that were fitted without a run's unit."""
     grams = np.array([j.T @ j for j in data.per_run(fitted.jacobian)])
     whole = fitted.information
-    least = 1e-9 * np.diag(np.diag(whole))  # directions of which no other run tells anything
+    # Something for sizes of which no other run, or none at all, tells anything.
+    least = 1e-9 * np.diag(np.maximum(np.diag(whole), 1.0))
     left_out = [grams[data.units == unit].sum(0) for unit in data.units]
     return np.array(
         [

@@ -36,7 +36,7 @@ from omnislip import _core
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import Noise, track_all
 from omnislip.gap.recordings import Run
-from omnislip.gap.rows import news_of
+from omnislip.gap.rows import CHANCE_S, foreseen, news_of
 
 Array = npt.NDArray[np.float64]
 
@@ -51,8 +51,6 @@ ROW_S = 0.01
 """Disturbances last some 10 ms: rows nearer than that tell the same."""
 FOLDS = 4
 LEAST_RUNS = 3
-CHANCE_S = 0.03
-"""Disturbances fade at 40 per second or faster (noise.py)."""
 OWN_PAST_S = (0.06, 0.09, 0.13, 0.18)
 """At the first chance has faded to a tenth, at the last what goes on for longer still shows."""
 REST = 0.2
@@ -95,7 +93,7 @@ def predictable_shares(
     for run, track, state, unexplained in zip(runs, tracks, after, before, strict=True):
         rows = _sparse_rows(run)
         seen = np.searchsorted(run.t_s, run.t_s[rows] - CHANCE_S) if answers else rows
-        features.append(_features(run, state if answers else _foreseen(run, track), gear)[seen])
+        features.append(_features(run, state if answers else foreseen(run, track), gear)[seen])
         pasts.append(_own_past(run, state[:, DISTURBANCES], rows))
         targets.append(state[rows][:, DISTURBANCES])
         there.append(unexplained[rows][:, DISTURBANCES])
@@ -154,21 +152,6 @@ def _sparse_rows(run: Run) -> npt.NDArray[np.int64]:
     stride = max(1, round(ROW_S / float(np.median(np.diff(run.t_s)))))
     first = int(np.searchsorted(run.t_s, run.t_s[0] + _core.SETTLE_S))
     return np.arange(first, len(run.t_s), stride)
-
-
-def _foreseen(run: Run, track: _core.Track) -> Array:
-    """States (rows, states) without what was corrected in the last `CHANCE_S`."""
-    rows = len(run.t_s)
-    gain, transition = track.gain.reshape(rows, -1, run.outputs.shape[1]), track.transition
-    transition = transition.reshape(rows, gain.shape[1], -1)
-    innovation = np.nan_to_num(track.innovation.reshape(rows, -1))
-    corrected = np.einsum("kij,kj->ki", gain, innovation)
-    foreseen = track.state.reshape(rows, -1) - corrected
-    for _ in range(round(CHANCE_S / float(np.median(np.diff(run.t_s))))):
-        corrected[1:] = np.einsum("kij,kj->ki", transition[:-1], corrected[:-1])
-        corrected[0] = 0.0
-        foreseen -= corrected
-    return foreseen
 
 
 def _features(run: Run, state: Array, gear: float) -> Array:

@@ -64,6 +64,12 @@ RATE_DEVIATION = 0.1
 """Of the rate of a row's rise, as a share of how far the rate from the row before is from it."""
 
 
+CHANCE_S = 0.03
+"""Disturbances fade at 40 per second or faster (noise.py)."""
+CREEP_RAD_S = 2.0
+"""Speed of a shaft below which the sign of its friction is smooth (sim/effects.h)."""
+
+
 @dataclass(frozen=True)
 class News:
     """What is new in the commands (rows, 4) of each run; share of it that innovations explain."""
@@ -217,14 +223,32 @@ class Projection:
         return residuals - ((residuals @ self._axes) * self._share) @ self._axes.T
 
 
+def foreseen(run: Run, track: _core.Track) -> Array:
+    """States (rows, states) without what was corrected in the last `CHANCE_S`."""
+    rows = len(run.t_s)
+    gain, transition = track.gain.reshape(rows, -1, run.outputs.shape[1]), track.transition
+    transition = transition.reshape(rows, gain.shape[1], -1)
+    innovation = np.nan_to_num(track.innovation.reshape(rows, -1))
+    corrected = np.einsum("kij,kj->ki", gain, innovation)
+    states = track.state.reshape(rows, -1) - corrected
+    for _ in range(round(CHANCE_S / float(np.median(np.diff(run.t_s))))):
+        corrected[1:] = np.einsum("kij,kj->ki", transition[:-1], corrected[:-1])
+        corrected[0] = 0.0
+        states -= corrected
+    return states
+
+
 def news_of(machine: Machine, runs: Sequence[Run], tracks: Sequence[_core.Track]) -> News:
     """Return what is new in the commands beside what the wheel's last commands lead to (linearly).
 
-    Nothing of machines other than robots.
+    Innovations beside a wrong model tell how the robot moves, and where commands follow a programme
+    that tells how they go on. So what they explain has to be more than the motion foreseen explains
+    as well: an answer is one to what was not. `tracks` keep their matrices. Nothing of machines
+    other than robots.
     """
     if machine.kind != "robot":
         return News([], 0.0)
-    past, now = [], []
+    past, now, moving = [], [], []
     for run, track in zip(runs, tracks, strict=True):
         innovation = np.nan_to_num(track.innovation.reshape(len(run.t_s), -1)[:, :4])
         command = run.command
@@ -233,15 +257,19 @@ def news_of(machine: Machine, runs: Sequence[Run], tracks: Sequence[_core.Track]
         rows += [innovation[PAST - j : PAST - j + last] for j in range(PAST)]
         past.append(np.stack([r.ravel() for r in rows], axis=1))
         now.append(command[PAST:].ravel())
-    x, y = np.concatenate(past), np.concatenate(now)
+        moving.append(_motion(foreseen(run, track)[PAST:]))
+    x, y, motion = (np.concatenate(each) for each in (past, now, moving))
     scale = np.maximum(x.std(axis=0), 1e-12)
     steps = np.abs(y - x[:, 0]) / max(_spread(y - x[:, 0]), 1e-9)
     calm, moderate = steps <= CALM, steps <= CLIP
-    unpredicted, _ = _rest(x[calm, :PAST] / scale[:PAST], y[calm])
+    commanded = x[calm, :PAST] / scale[:PAST]
     limit = CLIP * _spread(x[calm, PAST:])
-    unexplained, _ = _rest(np.clip(x[calm, PAST:], -limit, limit), unpredicted)
-    share = 1.0 - (unexplained @ unexplained) / max(unpredicted @ unpredicted, 1e-300)
-    if share < BEYOND_CHANCE * PAST / len(unpredicted):
+    innovations = np.clip(x[calm, PAST:], -limit, limit)
+    share = min(
+        _share_explained(known, innovations, y[calm])
+        for known in (commanded, np.hstack([commanded, motion[calm]]))
+    )
+    if share < BEYOND_CHANCE * PAST / np.count_nonzero(calm):
         share = 0.0
     weights = _rest(x[moderate] / scale, y[moderate])[1] / scale
     found = []
@@ -252,6 +280,27 @@ def news_of(machine: Machine, runs: Sequence[Run], tracks: Sequence[_core.Track]
         padded[PAST:] = np.clip(new, -limit, limit)
         found.append(padded)
     return News(found, float(share))
+
+
+def _motion(states: Array) -> Array:
+    """How the robot moves (rows * 4, 12): speeds and their signs, from each wheel's view."""
+    speed, body = states[:, :4], states[:, 8:11]
+    from_wheels = [
+        np.hstack([np.roll(speed, -k, axis=1), np.tanh(np.roll(speed, -k, axis=1) / CREEP_RAD_S)])
+        for k in range(4)
+    ]
+    seen = np.stack([np.hstack([one, body, np.ones((len(body), 1))]) for one in from_wheels], 1)
+    return seen.reshape(-1, seen.shape[2])
+
+
+def _share_explained(known: Array, told: Array, target: Array) -> float:
+    """Share of what `known` leaves of the target (rows,) that `told` (rows, n) explains."""
+    both = np.hstack([told, target[:, None]])
+    shared = known.T @ both
+    left = both.T @ both - shared.T @ np.linalg.pinv(known.T @ known, hermitian=True) @ shared
+    told_left, slope = left[:-1, :-1], left[:-1, -1]
+    explained = slope @ np.linalg.pinv(told_left, hermitian=True) @ slope
+    return float(explained) / max(float(left[-1, -1]), 1e-300)
 
 
 def _rest(x: Array, y: Array) -> tuple[Array, Array]:
