@@ -109,6 +109,8 @@ def test_a_driver_that_freewheels_switches_where_its_command_changes_sign(
     unsure_s = 0.01 if braking_fraction < 1.0 and before_row == 4 else 0.0
     feigned = events._feigned_m_s(machine, run, before_row, model)
     assert feigned == pytest.approx(2.0 * 0.6 * 9.81 * unsure_s)
+    still = SimpleNamespace(t_s=t_s, command=np.zeros((10, 4)))
+    assert events._feigned_m_s(machine, still, before_row, model) == 0.0
 
 
 @pytest.mark.parametrize(("pushes", "often"), [(0, False), (1, False), (5, False), (6, True)])

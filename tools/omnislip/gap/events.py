@@ -173,7 +173,8 @@ def _feigned_m_s(machine: Machine, run: Run, row: int, model: Array) -> float:
     if jumps[beside].any():
         unsure_s += float(rows_s[beside].max())
     if model[machine.place("driver_freewheel", "braking_fraction", None)[0]] != 1.0:
-        switches = np.any(np.abs(run.command) <= 0.5 * np.maximum(into, out_of), axis=1)
+        most = np.maximum(into, out_of)
+        switches = np.any((np.abs(run.command) <= 0.5 * most) & (most > 0.0), axis=1)
         near = slice(before.start, beside.stop)
         unsure_s += float(np.sum(rows_s[near][switches[near] & ~jumps[near]]))
     return float(2.0 * grip_m_s2 * unsure_s)

@@ -295,6 +295,7 @@ def _motion(states: Array) -> Array:
 
 def _share_explained(known: Array, told: Array, target: Array) -> float:
     """Share of what `known` leaves of the target (rows,) that `told` (rows, n) explains."""
+    known = known / np.maximum(np.sqrt(np.mean(known**2, axis=0)), 1e-12)
     both = np.hstack([told, target[:, None]])
     shared = known.T @ both
     left = both.T @ both - shared.T @ np.linalg.pinv(known.T @ known, hermitian=True) @ shared
