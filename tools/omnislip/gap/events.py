@@ -164,8 +164,8 @@ def _feigned_m_s(machine: Machine, run: Run, row: int, model: Array) -> float:
     values = machine.model.values
     grip_m_s2 = values["contact.mu_drive"] * values["contact.gravity_m_s2"]
     rows_s = np.diff(run.t_s, append=run.t_s[-1])
-    change = np.abs(np.diff(run.command, axis=0))
-    into, out_of = (np.pad(change, ends) for ends in (((1, 0), (0, 0)), ((0, 1), (0, 0))))
+    into = np.abs(np.diff(run.command, axis=0, prepend=run.command[:1]))
+    out_of = np.abs(np.diff(run.command, axis=0, append=run.command[-1:]))
     jumps = into.max(axis=1) > COMMAND_JUMP
     beside = slice(max(row - 1, 0), row + 3)
     before = slice(int(np.searchsorted(run.t_s, run.t_s[row] - HORIZON_S)), beside.start)

@@ -358,16 +358,22 @@ def fitted_without_each_unit(data: Data, fitted: Fit) -> Array:
     """
     hypothesis = fitted.hypothesis
     scale = np.array([p.scale for p in hypothesis.parameters])
-    parts = list(zip(data.per_run(fitted.jacobian), data.per_run(fitted.residual), strict=True))
+    parts = zip(data.per_run(fitted.jacobian), data.per_run(fitted.residual), strict=True)
+    grams, slopes = _grams(data, fitted), np.array([j.T @ r for j, r in parts])
     gram, slope = fitted.information, fitted.slope(data.believed)
     values = []
     for unit in range(int(data.units.max()) + 1):
-        own = [parts[k] for k in np.flatnonzero(data.units == unit)]
-        own_gram = sum(j.T @ j for j, _ in own)
-        own_slope = sum(j.T @ r for j, r in own)
-        step = solve_within(gram - own_gram, slope - own_slope, *hypothesis.room())
+        own = data.units == unit
+        step = solve_within(
+            gram - grams[own].sum(0), slope - slopes[own].sum(0), *hypothesis.room()
+        )
         values.append(hypothesis.flat(data.believed, hypothesis.x + step * scale))
     return np.stack(values)
+
+
+def _grams(data: Data, fitted: Fit) -> Array:
+    """Information (runs, parameters, parameters) that each run holds."""
+    return np.array([j.T @ j for j in data.per_run(fitted.jacobian)])
 
 
 @dataclass(frozen=True)
@@ -445,8 +451,7 @@ def check_unseen(data: Data, without: Fit, fits: Sequence[Fit]) -> list[Check]:
 
 def _unsure(data: Data, fitted: Fit) -> Array:
     """Square error (runs,) to be expected of sizes that were fitted without a run's unit."""
-    grams = np.array([j.T @ j for j in data.per_run(fitted.jacobian)])
-    whole = fitted.information
+    grams, whole = _grams(data, fitted), fitted.information
     # Something for sizes of which no other run, or none at all, tells anything.
     least = 1e-9 * np.diag(np.maximum(np.diag(whole), 1.0))
     left_out = [grams[data.units == unit].sum(0) for unit in data.units]

@@ -62,12 +62,10 @@ ANSWERED_ROWS = 3
 RISING_STEP_S = 1e-3
 RATE_DEVIATION = 0.1
 """Of the rate of a row's rise, as a share of how far the rate from the row before is from it."""
-
-
 CHANCE_S = 0.03
 """Disturbances fade at 40 per second or faster (noise.py)."""
 CREEP_RAD_S = 2.0
-"""Speed of a shaft below which the sign of its friction is smooth (sim/effects.h)."""
+"""Speed of a shaft below which the sign of its friction is smooth (sim/robot_plant.h)."""
 
 
 @dataclass(frozen=True)
@@ -262,7 +260,7 @@ def news_of(machine: Machine, runs: Sequence[Run], tracks: Sequence[_core.Track]
     scale = np.maximum(x.std(axis=0), 1e-12)
     steps = np.abs(y - x[:, 0]) / max(_spread(y - x[:, 0]), 1e-9)
     calm, moderate = steps <= CALM, steps <= CLIP
-    commanded = x[calm, :PAST] / scale[:PAST]
+    commanded = x[calm, :PAST]
     limit = CLIP * _spread(x[calm, PAST:])
     innovations = np.clip(x[calm, PAST:], -limit, limit)
     share = min(

@@ -6,13 +6,15 @@ candidates fully, and takes the best one if all of these hold:
     chance       p-value of its gain, times the number of things tried, below `ALPHA`
     validation   on each run, by sizes that were fitted to the others, the gain is positive in sum,
                  and in 3 of 4 runs or beyond its scatter from run to run; free replays come nearer,
-                 too (leave one out; the linear step that takes a run out of a fit is nearly exact)
+                 too (leave one out; the linear step that takes a run out of a fit is nearly exact).
+                 A run of which the others tell too little does not judge
     size         at least `SHAPE_SHARE` of all that effects have gained so far
 
 The base keys are refitted with every candidate, because they absorb much of most effects. After a
 step the noise is tuned again (an explained defect no longer counts as noise), and every accepted
 effect must still be needed. At the end every effect is compared with its rivals in its place: those
-that do as well within `RIVAL_MARGIN` cannot be told from it with these logs.
+that do as well within `RIVAL_MARGIN`, or within what a controller feigns, cannot be told from it
+with these logs.
 """
 
 from collections.abc import Callable, Sequence
@@ -460,7 +462,7 @@ def _threshold_moved(data: Data, current: Fit, start: Hypothesis, index: int) ->
     low, high = ([getattr(p, end) for p in candidate.parameters] for end in ("low", "high"))
     for factor in THRESHOLD_FACTORS:
         now = start.values_of(len(start.effects) - 1)
-        offered = [start]
+        offered = []
         for step in (1.0 / factor, 1.0, factor):
             for scale in SIZE_FACTORS:
                 sizes = now.copy()
