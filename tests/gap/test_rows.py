@@ -159,6 +159,17 @@ def test_a_log_driven_in_open_loop_is_known_as_such(excitation):
     assert columns_of(machine, runs, data.tracks, machine.believed).shape[1] == 2
 
 
+@pytest.mark.parametrize("seed", [1, 2, 3, 4])
+def test_a_command_that_is_held_is_no_answer(seed):
+    """What its own past leaves of it is rounding, whatever innovations explain of that."""
+    data = data_of(seed=5, runs=1, run_duration_s=4.0)
+    run = data.runs[0]
+    levels = np.random.default_rng(seed).uniform(-0.4, 0.4, (len(run.t_s) // 50 + 1, 4))
+    held = replace(run, command=np.repeat(levels, 50, axis=0)[: len(run.t_s)])
+    tracks = track_all(data.machine, [held], data.machine.believed, data.noise, keep_linear=True)
+    assert news_of(data.machine, [held], tracks).share == 0.0
+
+
 def test_a_programme_is_no_answer_beside_a_wrong_model(monkeypatch):
     """Beside too much grip innovations tell how the robot moves, and that how commands go on."""
     grip = HiddenEffect("low_grip", {"scale": 0.6}).as_dict()

@@ -53,6 +53,8 @@ in 28 logs of closed loops in which nothing was missing. In open loop the share 
 beside a model that is right."""
 BEYOND_CHANCE = 4.0
 """Times what chance explains of so many rows (F of PAST and very many: once in 1000)."""
+ROUNDING = 1e-6
+"""Of a command's size: less is nothing new (a timer has steps of 1e-3, a log six digits)."""
 CALM = 1.0
 """Changes of a command in such rows, in their deviations."""
 PAST = 6
@@ -292,14 +294,18 @@ def _motion(states: Array) -> Array:
 
 
 def _share_explained(known: Array, told: Array, target: Array) -> float:
-    """Share of what `known` leaves of the target (rows,) that `told` (rows, n) explains."""
+    """Share of what `known` leaves of the target (rows,) that `told` (rows, n) explains.
+
+    0 where it leaves nothing but rounding, as of a command that is held.
+    """
     known = known / np.maximum(np.sqrt(np.mean(known**2, axis=0)), 1e-12)
     both = np.hstack([told, target[:, None]])
     shared = known.T @ both
     left = both.T @ both - shared.T @ np.linalg.pinv(known.T @ known, hermitian=True) @ shared
     told_left, slope = left[:-1, :-1], left[:-1, -1]
-    explained = slope @ np.linalg.pinv(told_left, hermitian=True) @ slope
-    return float(explained) / max(float(left[-1, -1]), 1e-300)
+    if left[-1, -1] <= ROUNDING**2 * (target @ target):
+        return 0.0
+    return float(slope @ np.linalg.pinv(told_left, hermitian=True) @ slope / left[-1, -1])
 
 
 def _rest(x: Array, y: Array) -> tuple[Array, Array]:
