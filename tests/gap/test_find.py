@@ -51,9 +51,12 @@ def selected(name, gain, inflation=1.0, variation=0.0):
     return Selected(candidate, np.ones(1), evidence, (), 1.0)
 
 
-def verdict_of(effects, leftover_gain=0.0, jolts=False, feigned_gain=0.0, table=None):
-    """Verdict where nothing was refused, and without a table replays are as near as can be."""
-    left = [SimpleNamespace(gain=leftover_gain, inflation=1.0)] if leftover_gain else []
+def verdict_of(effects, left=(), jolts=False, feigned_gain=0.0, table=None):
+    """Verdict where nothing was refused, and without a table replays are as near as can be.
+
+    `left` is the gain of a leftover term and what of it the shapes of effects cover.
+    """
+    left = [SimpleNamespace(gain=left[0], inflation=1.0, covered=left[1])] if left else []
     data = SimpleNamespace(feigned_gain=feigned_gain)
     outcome = SimpleNamespace(selected=effects, leftover=left, trials=(), data=data)
     table = table or SimpleNamespace(left=Left(0.0, 1.0), closed=Closed(1.0, 0.9, 1.1))
@@ -61,25 +64,19 @@ def verdict_of(effects, leftover_gain=0.0, jolts=False, feigned_gain=0.0, table=
 
 
 @pytest.mark.parametrize(
-    ("name", "share", "verdict"),
-    [
-        ("coulomb_friction", 0.005, "effect_found"),
-        ("coulomb_friction", 0.02, "unknown_effect"),
-        ("contact_shape", 0.0005, "effect_found"),
-        ("contact_shape", 0.002, "unknown_effect"),
-    ],
+    ("covered", "verdict"), [(600.0, "effect_found"), (400.0, "unknown_effect")]
 )
-def test_names_that_leave_a_part_of_the_gap_are_not_given(name, share, verdict):
-    assert verdict_of([selected(name, 1e5)], 1e5 * share) == verdict
+def test_names_that_leave_a_part_of_the_gap_are_not_given(covered, verdict):
+    assert verdict_of([selected("coulomb_friction", 1e5)], (500.0, covered)) == verdict
 
 
 @pytest.mark.parametrize(("gain", "verdict"), [(60.0, "no_gap"), (150.0, "unknown_effect")])
 def test_a_small_rest_is_what_rows_hide(gain, verdict):
-    assert verdict_of([], gain) == verdict
+    assert verdict_of([], (gain, 0.0)) == verdict
 
 
 def test_a_rest_that_a_controller_may_feign_is_none():
-    assert verdict_of([], 150.0, feigned_gain=200.0) == "no_gap"
+    assert verdict_of([], (150.0, 0.0), feigned_gain=200.0) == "no_gap"
 
 
 @pytest.mark.parametrize(

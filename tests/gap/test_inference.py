@@ -19,6 +19,9 @@ from axis_bench import (
     multisine,
     true_noise,
 )
+from hypothesis import assume, given
+from hypothesis.extra.numpy import arrays
+from hypothesis.strategies import floats
 from omnislip.gap.inference import (
     LEAST_STAKE,
     Check,
@@ -31,6 +34,7 @@ from omnislip.gap.inference import (
     fit,
     fitted_without_each_unit,
     free_of_fitted,
+    left_by_shapes,
     objective,
     prior_penalty,
     weigh,
@@ -384,3 +388,48 @@ def test_a_run_that_does_not_judge_has_no_vote():
     assert not Check(gains, stakes, np.zeros(4)).helps
     check = Check(gains, stakes, np.array([1.0, 1.0, 1.0, 2.0 * HIGH]))
     assert check.helps and check.helped == 3 and check.gain == 26.0
+
+
+# ---- what shapes of effects leave ----
+
+vectors = arrays(np.float64, 8, elements=floats(-10.0, 10.0, width=32))
+
+
+def doing(action, absent=0.0):
+    """A machine and a fit with one effect that does `action` (m,) to the residuals."""
+    size, scale = 4.0, 2.0
+    parameter = SimpleNamespace(places=(1,), scale=scale)
+    effect = SimpleNamespace(parameters=(parameter,), amplitudes=(0,))
+    hypothesis = SimpleNamespace(
+        base=(None,), effects=(effect,), values_of=lambda index: np.array([size])
+    )
+    change = size - absent if np.isfinite(absent) else size
+    jacobian = np.stack([np.ones(8), action * scale / change], axis=1)
+    fitted = SimpleNamespace(hypothesis=hypothesis, residual=np.zeros(8), jacobian=jacobian)
+    return SimpleNamespace(believed=np.array([1.0, absent])), fitted
+
+
+@pytest.mark.parametrize("absent", [0.0, 1.0, np.inf])
+def test_what_an_effect_does_alike_it_may_leave_in_full_and_elsewhere_nothing(absent):
+    action = np.array([1.0, -2.0, 3.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    machine, fitted = doing(action, absent)
+    alike, elsewhere = 5.0 * np.abs(action), np.array([0.0, 0.0, 0.0, 1.0, 2.0, 0.0, 0.0, 0.0])
+    share = 1e-3
+    assert left_by_shapes(machine, fitted, alike, lambda e: share) == pytest.approx(share * 14.0)
+    assert left_by_shapes(machine, fitted, elsewhere, lambda e: share) == 0.0
+    assert left_by_shapes(machine, fitted, alike, lambda e: 0.0) == 0.0
+    assert left_by_shapes(machine, fitted, 0.0 * alike, lambda e: share) == 0.0
+
+
+@given(vectors, vectors, arrays(np.float64, 8, elements=floats(-1.0, 1.0, width=32)))
+def test_no_shape_that_is_off_by_no_more_leaves_more(action, change, off):
+    """Whatever share of its action an effect is off in each residual, up to 1; one reaches it."""
+    assume(change @ change > 1e-6)
+    machine, fitted = doing(action)
+    most = left_by_shapes(machine, fitted, change, lambda effect: 1.0)
+
+    def gain(left):
+        return (left @ change) ** 2 / (change @ change)
+
+    assert gain(off * action) <= most * (1.0 + 1e-9)
+    assert gain(np.sign(action * change) * action) == pytest.approx(most, rel=1e-9)

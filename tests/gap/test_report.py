@@ -84,7 +84,7 @@ def findings_of(machine, verdict, effects=(), rivals=()):
     )
     selected = tuple(Selected(e, sizes_of(e), evidence_of(e), tuple(rivals), 0.97) for e in effects)
     limits = {"viscous_friction_error": {"viscous_friction_nm_s": 1.25e-6}}
-    left = Leftover("every wheel/torque", "speed cubed", 52.5, 1.5, 1e-9, 20.0)
+    left = Leftover("every wheel/torque", "speed cubed", 52.5, 1.5, 1e-9, 20.0, 12.0)
     leftover = (left,) if verdict == "unknown_effect" else ()
     outcome = Outcome(
         base=fit,
@@ -106,7 +106,7 @@ def findings_of(machine, verdict, effects=(), rivals=()):
     excess = np.outer(np.ones(120), shares)
     times, states = (fitting.t_s, checking.t_s), (np.zeros((120, 21)),) * 2
     gap_map = Map(equations, times, (excess, excess), shares / shares.sum(), states)
-    shape = Leftover(equations[0], "once per turn", 812.5, 1.5, 1e-9, 20.0)
+    shape = Leftover(equations[0], "once per turn", 812.5, 1.5, 1e-9, 20.0, 12.0)
     place = Place(equations[0], "at low speed", 0.4, (("run_01", 0.25, 0.5),))
     added = [Effect(e.effect, dict.fromkeys(("size",), 1.0), e.wheel) for e in effects]
     force = {} if robot else {"fitted": 0.0812, "held_out": 0.0905}

@@ -258,16 +258,25 @@ def test_an_answer_to_strong_disturbances_feigns_no_lag(seed, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("closed_loop", "excitation", "noise_level", "feigned"),
-    [(True, "poor", 2.0, 200.0), (True, "rich", 2.0, 200.0), (False, "ordinary", 2.0, 0.0)],
+    ("closed_loop", "excitation", "sensors", "feigned"),
+    [
+        (True, "rich", ("gyro", "pose"), 100.0),
+        (True, "rich", ("gyro",), 200.0),
+        (True, "poor", ("gyro", "pose"), 400.0),
+        (False, "ordinary", ("gyro", "pose"), 0.0),
+    ],
 )
 def test_gains_that_answers_feign_are_asked_of_closed_loops(
-    closed_loop, excitation, noise_level, feigned
+    closed_loop, excitation, sensors, feigned
 ):
-    data = data_of(
-        seed=951, excitation=excitation, closed_loop=closed_loop, noise_level=noise_level, runs=3
+    """More where a direction is not driven, or nobody sees how the robot moves."""
+    machine = Machine(MODEL)
+    case = {"closed_loop": closed_loop, "excitation": excitation, "sensors": sensors}
+    runs = runs_of(
+        machine, TruthCase(seed=951, base_offset_sd=0.0, noise_level=2.0, runs=3, **case)
     )
-    assert data.feigned_gain == feigned
+    noise = tune_noise(machine, runs, machine.believed)
+    assert Data(machine, runs, noise, machine.believed).feigned_gain == feigned
 
 
 @pytest.mark.parametrize("lag", LAGS)

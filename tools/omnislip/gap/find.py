@@ -74,11 +74,6 @@ STABLE = 0.9
 WEAK_SHARE = 1e-2
 """Gain relative to that of the strongest effect below which a name carries a caution; below a tenth
 of this the search gives none."""
-UNKNOWN_SHARE, CURVE_SHARE = 0.01, 1e-3
-"""A leftover term that gains more than this share of the named effects makes the verdict unknown:
-the names are right in place perhaps, but wrong in shape. Where names were right something was left
-in one case of the benchmark in a hundred, and 0.002 on a real axis. The friction curve has
-parameters enough for its shape and explains much in most robots: less of its gain covers a rest."""
 LEAST_REST = 100.0
 """Gain beyond chance that a leftover term must have at least: where nothing is missing, how
 commands moved within rows leaves up to 60 in violent driving."""
@@ -330,13 +325,9 @@ def _verdict(
 ) -> str:
     """Name effects only if they explain what is to be explained."""
     named = sum(s.evidence.gain for s in outcome.selected)
-    covered = sum(
-        s.evidence.gain * (CURVE_SHARE if s.candidate.effect == CURVE else UNKNOWN_SHARE)
-        for s in outcome.selected
-    )
     least = max(LEAST_REST, outcome.data.feigned_gain)
     better_term = any(
-        one.gain > covered and one.gain / one.inflation > least for one in outcome.leftover
+        one.gain > one.covered and one.gain / one.inflation > least for one in outcome.leftover
     )
     if better_term or _refused(outcome) > max(SURE_GAIN, named) or _much_is_left(table):
         return "unknown_effect"

@@ -19,7 +19,7 @@ White, Econometrica 1982; Liang and Zeger 1986; few clusters: Bell and McCaffrey
 2002.)
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import comb
@@ -374,6 +374,40 @@ def fitted_without_each_unit(data: Data, fitted: Fit) -> Array:
 def _grams(data: Data, fitted: Fit) -> Array:
     """Information (runs, parameters, parameters) that each run holds."""
     return np.array([j.T @ j for j in data.per_run(fitted.jacobian)])
+
+
+def left_by_shapes(
+    machine: Machine, fitted: Fit, change: Array, share_of: Callable[[Candidate], float]
+) -> float:
+    """Return the gain along a change of the residuals (m,) that shapes of effects may leave.
+
+    No plant has an effect's shape exactly. One that is off by a share e_i of what the effect does
+    in residual i, a_i, leaves e_i a_i there. With |e_i| <= e that gives a change k a gain of up to
+    e^2 (sum |a_i k_i|)^2 / sum k_i^2: nothing where they act in other rows or other channels,
+    e^2 sum a_i^2 where they act alike. `share_of` is e^2 of an effect of the model.
+    """
+    size, square = np.abs(change), float(change @ change)
+    if not square:
+        return 0.0
+    left = 0.0
+    for index, effect in enumerate(fitted.hypothesis.effects):
+        share = share_of(effect)
+        if share:
+            left += share * float(size @ np.abs(_action(machine, fitted, index))) ** 2
+    return left / square
+
+
+def _action(machine: Machine, fitted: Fit, index: int) -> Array:
+    """What an effect of the model does to the residuals (m,), by their derivative."""
+    hypothesis = fitted.hypothesis
+    effect, sizes = hypothesis.effects[index], hypothesis.values_of(index)
+    first = len(hypothesis.base) + sum(len(e.parameters) for e in hypothesis.effects[:index])
+    action = np.zeros(len(fitted.residual))
+    for k in effect.amplitudes:
+        absent = machine.believed[effect.parameters[k].places[0]]
+        size = sizes[k] - absent if np.isfinite(absent) else sizes[k]
+        action += fitted.jacobian[:, first + k] * size / effect.parameters[k].scale
+    return action
 
 
 @dataclass(frozen=True)

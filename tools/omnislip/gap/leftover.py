@@ -16,8 +16,15 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import chi2
 
-from omnislip.gap.inference import Data, Fit, check_columns, free_of_fitted, inflation_of
-from omnislip.gap.machine import Machine
+from omnislip.gap.inference import (
+    Data,
+    Fit,
+    check_columns,
+    free_of_fitted,
+    inflation_of,
+    left_by_shapes,
+)
+from omnislip.gap.machine import CURVE, Candidate, Machine
 from omnislip.gap.noise import track_all
 from omnislip.gap.recordings import Run
 from omnislip.gap.rows import whitened_response
@@ -26,6 +33,10 @@ Array = npt.NDArray[np.float64]
 
 P_VALUE = 1e-6
 """Over all terms. To say that no known effect is the cause takes more than to name one."""
+UNKNOWN_SHARE, CURVE_SHARE = 0.01, 1e-3
+"""Square of how far the plant may be off an effect's shape, and off the friction curve's, which has
+parameters enough for it. A term that gains more than they leave makes the verdict unknown: names
+are right in place perhaps, but wrong in shape."""
 MOST_SHAPES = 5
 SHAFT_ORDERS = range(2, 13)
 SLOW_RAD_S = 2.0
@@ -47,7 +58,10 @@ class Term:
 
 @dataclass(frozen=True)
 class Leftover:
-    """A term that is missing: where, on what it depends, and how surely."""
+    """A term that is missing: where, on what it depends, and how surely.
+
+    `covered` is the gain that the effects of the model may leave to it by their shapes.
+    """
 
     equation: str
     dependence: str
@@ -55,6 +69,7 @@ class Leftover:
     inflation: float
     p_value: float
     validation_gain: float
+    covered: float
 
 
 def dictionary(machine: Machine) -> list[Term]:
@@ -158,9 +173,14 @@ def _passing(data: Data, fitted: Fit, terms: Sequence[Term]) -> list[Leftover]:
                     inflation,
                     min(p_value, 1.0),
                     check.gain,
+                    left_by_shapes(data.machine, fitted, column[:, 0], _covered_share),
                 )
             )
     return sorted(found, key=lambda leftover: -leftover.gain)
+
+
+def _covered_share(effect: Candidate) -> float:
+    return CURVE_SHARE if effect.effect == CURVE else UNKNOWN_SHARE
 
 
 def _responses(data: Data, values: Array, terms: Sequence[Term]) -> Array:

@@ -5,6 +5,7 @@ what is needed to repeat the work. The words stand in report.html.j2, the drawin
 report_pictures.py.
 """
 
+import math
 import platform
 from collections.abc import Sequence
 from importlib.metadata import version
@@ -15,7 +16,7 @@ import matplotlib as mpl
 import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from omnislip.gap import find, inference, metrics, report_pictures, rows, search
+from omnislip.gap import find, inference, leftover, metrics, report_pictures, rows, search
 from omnislip.gap.find import Findings, to_json
 from omnislip.gap.machine import Candidate, Machine
 from omnislip.gap.metrics import Replays
@@ -393,15 +394,19 @@ def _thresholds() -> list[tuple[str, str]]:
             f"{100 * inference.HELPED_SHARE:g} %",
             "least share of the runs that an effect must improve by sizes that fit the others",
         ),
-        (f"{100 * search.SHAPE_SHARE:g} %", "least share of all that the effects have gained"),
+        (
+            f"{100 * math.sqrt(search.SHAPE_SHARE):.0f} %",
+            "how far a robot may be off what the effects of the model do: what that can feign of "
+            "another effect is not named",
+        ),
         (
             f"{search.RIVAL_MARGIN:g}",
             "a rival whose gain is smaller by less than this cannot be told from the effect",
         ),
         (
-            f"{100 * find.UNKNOWN_SHARE:g} %",
-            f"of what the effects have gained (friction curve: {100 * find.CURVE_SHARE:g} %): "
-            "a nameless term that gains more makes the verdict unknown",
+            f"{100 * math.sqrt(leftover.UNKNOWN_SHARE):.0f} %",
+            f"so far off (friction curve: {100 * math.sqrt(leftover.CURVE_SHARE):.0f} %): what a "
+            "nameless term gains beyond that makes the verdict unknown",
         ),
         (
             f"{find.LEAST_REST:g}",
@@ -409,7 +414,9 @@ def _thresholds() -> list[tuple[str, str]]:
         ),
         (
             f"{rows.FEIGNED_GAIN:g}",
-            "least gain / inflation of anything where a controller answers within rows",
+            "least gain / inflation of anything where a controller answers within rows "
+            f"({rows.UNSEEN:g} times as much without a camera, {rows.UNDRIVEN:g} times where a "
+            "direction is not driven)",
         ),
         (
             f"{100 * find.VARIES:.0f} %",

@@ -8,7 +8,8 @@ candidates fully, and takes the best one if all of these hold:
                  and in 3 of 4 runs or beyond its scatter from run to run; free replays come nearer,
                  too (leave one out; the linear step that takes a run out of a fit is nearly exact).
                  A run of which the others tell too little does not judge
-    size         at least `SHAPE_SHARE` of all that effects have gained so far
+    size         it gains more than the effects of the model feign where they are off by 3 % of what
+                 they do (`_leaked`): no plant has an effect's shape exactly
 
 The base keys are refitted with every candidate, because they absorb much of most effects. After a
 step the noise is tuned again (an explained defect no longer counts as noise), and every accepted
@@ -37,6 +38,7 @@ from omnislip.gap.inference import (
     fitted_without_each_unit,
     free_of_fitted,
     inflation_of,
+    left_by_shapes,
     solve_within,
     weigh,
 )
@@ -51,6 +53,7 @@ Progress = Callable[[str], None]
 
 ALPHA = 0.01
 SHAPE_SHARE = 1e-3
+"""Square of how far a plant may be off an effect's shape: 3 % of what the effect does."""
 MOST_EFFECTS, MOST_STEPS = 4, 6
 NEIGHBOURS, RIVALS = 16, 4
 REFITS = 12
@@ -166,7 +169,7 @@ def search(
     progress("fitting the believed model")
     data, base = settle(machine, runs, start or believed_hypothesis(machine), noise)
     base_values = base.hypothesis
-    current, trials, gained = base, [], 0.0
+    current, trials = base, []
     limits = None
     neighbours: dict[str, list[Candidate]] = {}
     for step in range(1, MOST_STEPS + 1):
@@ -175,11 +178,11 @@ def search(
         if limits is None:
             limits = {s.candidate.name: _limit(machine, s) for s in screened}
         worth = [s for s in screened[:REFITS] if s.promise > LEAST_PROMISE]
-        found = _try(data, current, worth, step, tried, gained, progress)
+        found = _try(data, current, worth, step, tried, progress)
         trials += [trial for trial, _ in found]
         accepted = next((fitted for trial, fitted in found if trial.accepted), None)
         if accepted is None:
-            ahead = _Ahead(data, current, candidates, step, tried, gained, progress)
+            ahead = _Ahead(data, current, candidates, step, tried, progress)
             further = ahead.best(found)
             trials += ahead.trials
             if further is not None:
@@ -193,7 +196,6 @@ def search(
         if without.objective < current.objective - CONVERGED * max(1.0, gain):
             current = without  # the gain was that of the keys, which had not settled
             continue
-        gained += gain
         nearest = [s.candidate for s in screened[:NEIGHBOURS]]
         # What shows only beside the newest effect may be what an older one was taken for.
         neighbours = {
@@ -501,7 +503,6 @@ def _try(
     screened: Sequence[Screened],
     step: int,
     tried: int,
-    gained: float,
     progress: Progress,
 ) -> list[tuple[Trial, Fit]]:
     """Refit each candidate and judge it; best first."""
@@ -514,7 +515,7 @@ def _try(
     checks = check_unseen(data, current, [fitted for _, fitted, _ in results])
     found: list[tuple[Trial, Fit]] = []
     for (candidate, fitted, evidence), check in zip(results, checks, strict=True):
-        trial = _judge(data, current, fitted, candidate, evidence, check, step, tried, gained)
+        trial = _judge(data, current, fitted, candidate, evidence, check, step, tried)
         taken = next((one for one, _ in found if one.accepted), None)
         if trial.accepted and taken:
             reason = f"explains less than {taken.candidate.name}"
@@ -532,13 +533,15 @@ def _judge(
     check: Check,
     step: int,
     tried: int,
-    gained: float,
 ) -> Trial:
     """Judge the last effect of a model against the model `without` it."""
-    values = fitted.hypothesis.values_of(len(without.hypothesis.effects))
+    index = len(without.hypothesis.effects)
+    values = fitted.hypothesis.values_of(index)
     absent = _neutral(candidate, data.machine, {})
     chance = min(1.0, evidence.p_value * tried)
-    reason, passed = _verdict(data, evidence, chance, check, gained)
+    reason, passed = _verdict(
+        data, evidence, chance, check, _left_by_others(data, without, fitted, index)
+    )
     if passed and not _differs(candidate, values - absent, evidence):
         reason, passed = "its size cannot be told from none beside the other parameters", False
     sure = evidence.beyond_chance > SURE_GAIN
@@ -579,12 +582,11 @@ class _Ahead:
         candidates: Sequence[Candidate],
         step: int,
         tried: int,
-        gained: float,
         progress: Progress,
     ) -> None:
         self._data, self._current = data, current
         self._candidates, self._step, self._tried = candidates, step, tried * BEAM
-        self._gained, self._progress = gained, progress
+        self._progress = progress
         self.trials: list[Trial] = []
 
     def best(self, refused: Sequence[tuple[Trial, Fit]]) -> _Further | None:
@@ -622,7 +624,6 @@ class _Ahead:
             check,
             self._step,
             self._tried,
-            self._gained,
         )
         trial = replace(trial, reason=f"by the noise that is left beside it: {trial.reason}")
         self.trials.append(trial)
@@ -640,7 +641,7 @@ class _Ahead:
             s for s in screen(data, first.fitted, others)[:BEAM_REFITS] if s.promise > LEAST_PROMISE
         ]
         tried = self._tried * BEAM
-        found = _try(data, first.fitted, worth, self._step, tried, self._gained, self._progress)
+        found = _try(data, first.fitted, worth, self._step, tried, self._progress)
         found.sort(key=lambda pair: -pair[0].evidence.beyond_chance)
         pairs = []
         for place, (trial, fitted) in enumerate(found):
@@ -662,8 +663,10 @@ def _both_pass(data: Data, without: Fit, both: Fit, tried: int) -> bool:
     count, sure = len(without.hypothesis.effects), True
     for index in (count, count + 1):
         effect, sizes = both.hypothesis.effects[index], both.hypothesis.values_of(index)
-        evidence = weigh(data, fit(data, both.hypothesis.without(index)), both, index)
-        if evidence.p_value * tried >= ALPHA or evidence.beyond_chance < data.feigned_gain:
+        alone = fit(data, both.hypothesis.without(index))
+        evidence = weigh(data, alone, both, index)
+        least = max(data.feigned_gain, _left_by_others(data, alone, both, index))
+        if evidence.p_value * tried >= ALPHA or evidence.beyond_chance < least:
             return False
         absent = _neutral(effect, data.machine, {})
         if not _differs(effect, sizes - absent, evidence) or _within_row(data, effect, sizes):
@@ -744,7 +747,7 @@ def _replays_better(data: Data, without: Fit, with_effect: Fit, check: Check, su
 
 
 def _verdict(
-    data: Data, evidence: Evidence, chance: float, check: Check, gained: float
+    data: Data, evidence: Evidence, chance: float, check: Check, left: float
 ) -> tuple[str, bool]:
     if chance >= ALPHA:
         return f"could be chance (p = {chance:.2g} over everything tried)", False
@@ -757,9 +760,18 @@ def _verdict(
         return "changes no run enough to be checked there", False
     if not check.helps:
         return f"helps only {check.helped} of {voters} runs that were not fitted", False
-    if evidence.gain < SHAPE_SHARE * gained:
-        return "real perhaps, but under 0.1 % of what was found", False
+    if evidence.beyond_chance < left:
+        return "real perhaps, but the effects found feign as much if they are off by 3 %", False
     return "explains more than any other effect", True
+
+
+def _left_by_others(data: Data, without: Fit, fitted: Fit, index: int) -> float:
+    """Gain of effect `index` that the other effects of the model may leave by their shapes."""
+    own = fitted.hypothesis.effects[index]
+    change = without.residual - fitted.residual
+    return left_by_shapes(
+        data.machine, fitted, change, lambda effect: 0.0 if effect is own else SHAPE_SHARE
+    )
 
 
 def _within_row(data: Data, candidate: Candidate, sizes: Array) -> bool:
@@ -807,9 +819,6 @@ def _drop_needless(data: Data, fitted: Fit, tried: int) -> Fit:
 
     Not those whose inflation alone, of a few blocks, makes the chance: another effect that is
     missing does that.
-
-    No plant has an effect's shape exactly: what is off by 3 % in amplitude leaves `SHAPE_SHARE` of
-    its gain, for which other names are at hand.
     """
     while fitted.hypothesis.effects:
         without = [
@@ -817,13 +826,12 @@ def _drop_needless(data: Data, fitted: Fit, tried: int) -> Fit:
             for index in range(len(fitted.hypothesis.effects))
         ]
         judged = [weigh(data, w, fitted, index) for index, w in enumerate(without)]
-        most = max(one.gain for one in judged)
         needless = [
             index
             for index, one in enumerate(judged)
             if (one.p_value * tried >= ALPHA and one.beyond_chance < AHEAD_GAIN)
             or one.beyond_chance < data.feigned_gain
-            or one.gain < SHAPE_SHARE * most
+            or one.beyond_chance < _left_by_others(data, without[index], fitted, index)
         ]
         if not needless:
             break
