@@ -228,6 +228,30 @@ def test_a_threshold_between_two_starts_is_found(tmp_path):
     assert fitted.hypothesis.values_of(0) == pytest.approx(list(lost.values()), rel=0.03)
 
 
+@pytest.mark.parametrize("magnets", [7.0, 7.4])
+def test_magnets_are_counted_in_whole_numbers_where_the_log_allows(tmp_path, magnets):
+    """The phase, which a count off by a hundredth turns within some revolutions, comes right."""
+    hidden = {"torque_nm": 0.008, "cycles_per_rev": magnets, "phase_rad": 1.0}
+    effect = HiddenEffect("cogging", hidden).as_dict()
+    write_case(
+        TruthCase(seed=3, runs=2, run_duration_s=3.0, base_offset_sd=0.0, effects=(effect,)),
+        tmp_path,
+    )
+    robot = Machine(read_model(tmp_path / "robot.toml"))
+    logs = [read_log(path, "robot") for path in sorted(tmp_path.glob("run_*.csv"))]
+    runs = [replace(make_run(robot, log), unit=log.name) for log in logs]
+    cogging = next(c for c in robot.candidates() if c.effect == "cogging")
+    start = believed_hypothesis(robot).with_effect(cogging, [0.008, magnets + 2e-3, 0.9])
+    data, fitted = settle(robot, runs, start)
+    counted = search_module._whole_numbers(data, fitted).hypothesis.values_of(0)
+    if magnets == round(magnets):
+        assert counted[1] == magnets
+        assert counted[2] == pytest.approx(1.0, abs=0.02)
+    else:
+        assert counted[1] == pytest.approx(magnets, abs=0.01)
+        assert counted[1] != round(counted[1])
+
+
 def test_mass_and_inertia_of_an_axis_cannot_be_told_apart(machine):
     """One number, two names: one is named, the other is said to do as well."""
     [selected] = find(machine, Bench(mass_kg=11.0)).selected

@@ -108,6 +108,15 @@ class Hypothesis:
         values = self.values_of(index)
         return self.without(index).with_effect(self.effects[index], values)
 
+    def holding(self, index: int, number: int, value: float) -> "Hypothesis":
+        """Return this model with parameter `number` of effect number `index` held at a value."""
+        effects, x = list(self.effects), self.x.copy()
+        parameters = list(effects[index].parameters)
+        parameters[number] = replace(parameters[number], low=value, high=value)
+        effects[index] = replace(effects[index], parameters=tuple(parameters))
+        x[len(self.base) + sum(len(e.parameters) for e in effects[:index]) + number] = value
+        return replace(self, effects=tuple(effects), x=x)
+
     def last_two_joined(self) -> "Hypothesis":
         """Return this model with its last two effects, parts of one effect, as one."""
         first, second = self.effects[-2:]

@@ -395,6 +395,9 @@ EXTENSIONS = {
     ("shaft_compliance", "load_share"),
 }
 
+WHOLE = {("cogging", "cycles_per_rev"), ("roller_ripple", "rollers")}
+"""Numbers of teeth, magnets or rollers, which on a robot are whole."""
+
 # Starting values of shaping parameters; where the fit is not convex one start is not enough.
 SHAPE_GRIDS = {
     ("stribeck_friction", "speed_rad_s"): (4.0, 12.0, 40.0),

@@ -43,7 +43,7 @@ from omnislip.gap.inference import (
     weigh,
 )
 from omnislip.gap.leftover import Leftover, find_leftover
-from omnislip.gap.machine import CURVE, PHASE, Candidate, Machine
+from omnislip.gap.machine import CURVE, PHASE, WHOLE, Candidate, Machine
 from omnislip.gap.metrics import improvement, replay_all
 from omnislip.gap.noise import Noise, tune_noise
 from omnislip.gap.recordings import Run
@@ -218,6 +218,7 @@ def search(
     progress("fitting the final model")
     data, final = settle(machine, runs, current.hypothesis, data.noise)
     final = _drop_needless(data, _extend(machine, data, final), tried)
+    final = _whole_numbers(data, final)
     ladder = _ladder(data, base_values, final)
     selected = _compare_rivals(data, final, neighbours, progress)
     return Outcome(
@@ -811,6 +812,23 @@ def _extend(machine: Machine, data: Data, fitted: Fit) -> Fit:
             if weigh(data, ordered, refined, index).p_value < ALPHA:
                 joined = refined.hypothesis.last_two_joined()
                 fitted = replace(refined, hypothesis=joined)
+    return fitted
+
+
+def _whole_numbers(data: Data, fitted: Fit) -> Fit:
+    """Hold numbers of teeth and rollers at whole ones where that loses no more than chance.
+
+    A phase, which is that at the angle 0, comes right with them.
+    """
+    if data.machine.kind != "robot":
+        return fitted
+    for index, effect in enumerate(fitted.hypothesis.effects):
+        for number, parameter in enumerate(effect.parameters):
+            if (effect.effect, parameter.label) in WHOLE:
+                whole = float(np.round(fitted.hypothesis.values_of(index)[number]))
+                held = fit(data, fitted.hypothesis.holding(index, number, whole))
+                if held.objective - fitted.objective < RIVAL_MARGIN:
+                    fitted = held
     return fitted
 
 
