@@ -14,7 +14,7 @@ from omnislip.gap.search import believed_hypothesis, screen, search, settle, sta
 from omnislip.gap.truth import TruthCase, write_case
 from omnislip.gap.truth_effects import HiddenEffect
 from omnislip.log_file import read_log
-from omnislip.model_file import Effect, read_model, write_model
+from omnislip.model_file import NOMINAL_ROBOT, Effect, read_model, write_model
 from scipy.stats import binom
 
 
@@ -226,6 +226,28 @@ def test_a_threshold_between_two_starts_is_found(tmp_path):
     dropout = [c for c in robot.candidates() if (c.effect, c.wheel) == ("encoder_dropout", 2)]
     [fitted] = search_module._refit(data, current, screen(data, current, dropout))
     assert fitted.hypothesis.values_of(0) == pytest.approx(list(lost.values()), rel=0.03)
+
+
+@pytest.mark.parametrize("name", ["actuation_delay", "driver_lag"])
+def test_a_delay_of_some_rows_is_found_in_a_loop_that_it_sets_swinging(tmp_path, name):
+    """No derivative leads there, and none is found where a lag explains more."""
+    candidates = {c.effect: c for c in Machine(read_model(NOMINAL_ROBOT)).candidates()}
+    size = candidates[name].parameters[0].label
+    hidden = HiddenEffect(name, {size: 0.0155}).as_dict()
+    case = TruthCase(seed=118, effects=(hidden,), closed_loop=True, excitation="ordinary", runs=2)
+    write_case(case, tmp_path)
+    robot = Machine(read_model(tmp_path / "robot.toml"))
+    logs = [read_log(path, "robot") for path in sorted(tmp_path.glob("run_*.csv"))]
+    runs = [replace(make_run(robot, log), unit=log.name) for log in logs]
+    data, current = settle(robot, runs, believed_hypothesis(robot))
+    accepted = fit(data, current.hypothesis.with_effect(candidates["driver_lag"], [0.0155]))
+    ahead = search_module._Ahead(data, current, robot.candidates(), 1, 100, silent)
+    further = ahead.far_delay(accepted)
+    if name == "actuation_delay":
+        quarter_row_s = 0.25 * 0.005
+        assert further.fitted.hypothesis.values_of(0) == pytest.approx(0.0155, abs=quarter_row_s)
+    else:
+        assert further is None
 
 
 @pytest.mark.parametrize("magnets", [7.0, 7.4])

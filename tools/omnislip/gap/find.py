@@ -329,7 +329,8 @@ def _verdict(
     better_term = any(
         one.gain > one.covered and one.gain / one.inflation > least for one in outcome.leftover
     )
-    if better_term or _refused(outcome) > max(SURE_GAIN, named) or _much_is_left(table):
+    sure = max(SURE_GAIN, outcome.data.feigned_gain, named)
+    if better_term or _refused(outcome) > sure or _much_is_left(table):
         return "unknown_effect"
     if jolts or any(_no_chance(one) for one in shares) or _varying(outcome.selected):
         return "unknown_effect"

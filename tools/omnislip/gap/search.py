@@ -45,7 +45,7 @@ from omnislip.gap.inference import (
 from omnislip.gap.leftover import Leftover, find_leftover
 from omnislip.gap.machine import CURVE, PHASE, WHOLE, Candidate, Machine
 from omnislip.gap.metrics import improvement, replay_all
-from omnislip.gap.noise import Noise, tune_noise
+from omnislip.gap.noise import Noise, track_all, tune_noise
 from omnislip.gap.recordings import Run
 
 Array = npt.NDArray[np.float64]
@@ -91,6 +91,8 @@ THRESHOLDS = {"encoder_dropout": 1}
 """Parameters that only the rows show in which a speed passes them."""
 THRESHOLD_FACTORS = tuple(2.0 ** (0.5**halving) for halving in range(1, 6))
 SIZE_FACTORS = (0.8, 1.0, 1.25)
+FAR_DELAYS_ROWS, FAR_STEPS_ROWS = (1.5, 2.0, 3.0, 4.0, 6.0), (0.5, 0.25)
+"""Delays to which no derivative leads, in rows, and steps from the best of them."""
 """Steps of a threshold, ever smaller, and of the size that goes with it."""
 
 
@@ -179,14 +181,16 @@ def search(
             limits = {s.candidate.name: _limit(machine, s) for s in screened}
         worth = [s for s in screened[:REFITS] if s.promise > LEAST_PROMISE]
         found = _try(data, current, worth, step, tried, progress)
-        trials += [trial for trial, _ in found]
         accepted = next((fitted for trial, fitted in found if trial.accepted), None)
-        if accepted is None:
-            ahead = _Ahead(data, current, candidates, step, tried, progress)
+        ahead = _Ahead(data, current, candidates, step, tried, progress)
+        further = ahead.far_delay(accepted)
+        if further is not None:
+            found = [(_gives_way(trial, further.trial.candidate), one) for trial, one in found]
+        elif accepted is None:
             further = ahead.best(found)
-            trials += ahead.trials
-            if further is not None:
-                data, current, accepted = further.data, further.without, further.fitted
+        trials += [*(trial for trial, _ in found), *ahead.trials]
+        if further is not None:
+            data, current, accepted = further.data, further.without, further.fitted
         if accepted is None:
             break
         gain = current.objective - accepted.objective
@@ -518,11 +522,14 @@ def _try(
     for (candidate, fitted, evidence), check in zip(results, checks, strict=True):
         trial = _judge(data, current, fitted, candidate, evidence, check, step, tried)
         taken = next((one for one, _ in found if one.accepted), None)
-        if trial.accepted and taken:
-            reason = f"explains less than {taken.candidate.name}"
-            trial = replace(trial, accepted=False, reason=reason)
-        found.append((trial, fitted))
+        found.append((_gives_way(trial, taken.candidate) if taken else trial, fitted))
     return found
+
+
+def _gives_way(trial: Trial, taken: Candidate) -> Trial:
+    if not trial.accepted:
+        return trial
+    return replace(trial, accepted=False, reason=f"explains less than {taken.name}")
 
 
 def _judge(
@@ -598,7 +605,9 @@ class _Ahead:
             if trial.evidence.beyond_chance > AHEAD_GAIN
         ]
         hopeful = sorted(hopeful, key=lambda pair: pair[1].objective)[:BEAM]
-        firsts = [self._by_its_noise(trial.candidate, fitted) for trial, fitted in hopeful]
+        firsts = [
+            self._by_its_noise(trial.candidate, fitted.hypothesis) for trial, fitted in hopeful
+        ]
         passed = [first for first in firsts if first.trial.accepted]
         if not passed and len(self._current.hypothesis.effects) + 2 <= MOST_EFFECTS:
             passed = [pair for first in firsts for pair in self._pairs(first)]
@@ -609,10 +618,41 @@ class _Ahead:
         ]
         return best
 
-    def _by_its_noise(self, candidate: Candidate, fitted: Fit) -> _Further:
+    def far_delay(self, accepted: Fit | None) -> _Further | None:
+        """Return the model with a delay of more than a row, where that explains more than anything.
+
+        In a closed loop that such a delay sets swinging, the predictor of a model without it loses
+        the robot by one with it: there each delay has to be judged along its own filter.
+        """
+        candidate = next((c for c in self._candidates if c.effect == "actuation_delay"), None)
+        if candidate is None:
+            return None
+        row_s = float(np.median(np.diff(self._data.runs[0].t_s)))
+        current = self._current.hypothesis
+
+        def delayed(rows: float) -> Hypothesis:
+            return current.with_effect(candidate, [rows * row_s])
+
+        def likelihood(hypothesis: Hypothesis) -> float:
+            values = hypothesis.flat(self._data.believed)
+            tracks = track_all(self._data.machine, self._data.runs, values, self._data.noise)
+            return float(np.nan_to_num(sum(t.log_likelihood for t in tracks), nan=-np.inf))
+
+        most = candidate.parameters[0].high / row_s
+        found = {rows: likelihood(delayed(rows)) for rows in FAR_DELAYS_ROWS if rows < most}
+        least = likelihood(accepted.hypothesis if accepted else current) + SURE_GAIN / 2
+        if max(found.values(), default=-np.inf) < least:
+            return None
+        for step in FAR_STEPS_ROWS:
+            best = max(found, key=found.__getitem__)
+            found |= {rows: likelihood(delayed(rows)) for rows in (best - step, best + step)}
+        first = self._by_its_noise(candidate, delayed(max(found, key=found.__getitem__)))
+        return first if first.trial.accepted else None
+
+    def _by_its_noise(self, candidate: Candidate, start: Hypothesis) -> _Further:
         self._progress(f"step {self._step}: looking ahead from {candidate.name}")
         machine, noise = self._data.machine, self._data.noise
-        data, first = settle(machine, self._data.runs, fitted.hypothesis, noise)
+        data, first = settle(machine, self._data.runs, start, noise)
         without = fit(data, self._current.hypothesis)
         evidence = weigh(data, without, first, len(without.hypothesis.effects))
         [check] = check_unseen(data, without, [first])
