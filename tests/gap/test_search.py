@@ -242,7 +242,7 @@ def test_a_delay_of_some_rows_is_found_in_a_loop_that_it_sets_swinging(tmp_path,
     data, current = settle(robot, runs, believed_hypothesis(robot))
     accepted = fit(data, current.hypothesis.with_effect(candidates["driver_lag"], [0.0155]))
     ahead = search_module._Ahead(data, current, robot.candidates(), 1, 100, silent)
-    further = ahead.far_delay(accepted)
+    further = ahead.far_delay(candidates["actuation_delay"], accepted)
     if name == "actuation_delay":
         quarter_row_s = 0.25 * 0.005
         assert further.fitted.hypothesis.values_of(0) == pytest.approx(0.0155, abs=quarter_row_s)

@@ -91,6 +91,7 @@ THRESHOLDS = {"encoder_dropout": 1}
 """Parameters that only the rows show in which a speed passes them."""
 THRESHOLD_FACTORS = tuple(2.0 ** (0.5**halving) for halving in range(1, 6))
 SIZE_FACTORS = (0.8, 1.0, 1.25)
+DELAY = "actuation_delay"
 FAR_DELAYS_ROWS, FAR_STEPS_ROWS = (1.5, 2.0, 3.0, 4.0, 6.0), (0.5, 0.25)
 """Delays to which no derivative leads, in rows, and steps from the best of them."""
 """Steps of a threshold, ever smaller, and of the size that goes with it."""
@@ -183,7 +184,8 @@ def search(
         found = _try(data, current, worth, step, tried, progress)
         accepted = next((fitted for trial, fitted in found if trial.accepted), None)
         ahead = _Ahead(data, current, candidates, step, tried, progress)
-        further = ahead.far_delay(accepted)
+        delay = next((s.candidate for s in worth if s.candidate.effect == DELAY), None)
+        further = ahead.far_delay(delay, accepted) if delay else None
         if further is not None:
             found = [(_gives_way(trial, further.trial.candidate), one) for trial, one in found]
         elif accepted is None:
@@ -618,15 +620,12 @@ class _Ahead:
         ]
         return best
 
-    def far_delay(self, accepted: Fit | None) -> _Further | None:
+    def far_delay(self, candidate: Candidate, accepted: Fit | None) -> _Further | None:
         """Return the model with a delay of more than a row, where that explains more than anything.
 
         In a closed loop that such a delay sets swinging, the predictor of a model without it loses
         the robot by one with it: there each delay has to be judged along its own filter.
         """
-        candidate = next((c for c in self._candidates if c.effect == "actuation_delay"), None)
-        if candidate is None:
-            return None
         row_s = float(np.median(np.diff(self._data.runs[0].t_s)))
         current = self._current.hypothesis
 
@@ -819,7 +818,7 @@ def _within_row(data: Data, candidate: Candidate, sizes: Array) -> bool:
     """Whether a lag is so short that it may be the averaging of the command over a row."""
     resistance = float(data.machine.model.values.get("motor.resistance_ohm", 1.0))
     seconds = {
-        "actuation_delay": sizes[0],
+        DELAY: sizes[0],
         "driver_lag": sizes[0],
         "armature_inductance": sizes[0] / resistance,
     }
