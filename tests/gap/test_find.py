@@ -45,20 +45,20 @@ def robot_case(folder, *effects, drop=(), **case):
     return folder / "robot.toml", logs
 
 
-def selected(name, gain, inflation=1.0, variation=0.0):
+def selected(name, gain, inflation=1.0, variation=0.0, left=0.0):
     candidate = next(c for c in ROBOT.candidates() if c.effect == name)
     evidence = Evidence(gain, inflation, 0.0, np.eye(1), variation)
-    return Selected(candidate, np.ones(1), evidence, (), 1.0)
+    return Selected(candidate, np.ones(1), evidence, (), 1.0, left)
 
 
-def verdict_of(effects, left=(), jolts=False, feigned_gain=0.0, table=None):
-    """Verdict where nothing was refused, and without a table replays are as near as can be.
+def verdict_of(effects, left=(), jolts=False, feigned_gain=0.0, table=None, trials=()):
+    """Verdict where without a table replays are as near as can be.
 
     `left` is the gain of a leftover term and what of it the shapes of effects cover.
     """
     left = [SimpleNamespace(gain=left[0], inflation=1.0, covered=left[1])] if left else []
     data = SimpleNamespace(feigned_gain=feigned_gain)
-    outcome = SimpleNamespace(selected=effects, leftover=left, trials=(), data=data)
+    outcome = SimpleNamespace(selected=effects, leftover=left, trials=trials, data=data)
     table = table or SimpleNamespace(left=Left(0.0, 1.0), closed=Closed(1.0, 0.9, 1.1))
     return find._verdict(outcome, table, False, [], jolts)
 
@@ -98,6 +98,24 @@ def test_held_out_runs_far_off_are_no_gap_to_pass_over(source, excess, error, ve
     )
 
 
+@pytest.mark.parametrize(
+    ("gain", "feigned_gain", "named", "verdict"),
+    [
+        (300.0, 0.0, 0.0, "unknown_effect"),
+        (150.0, 0.0, 0.0, "no_gap"),
+        (300.0, 400.0, 0.0, "no_gap"),
+        (300.0, 0.0, 1e5, "effect_found"),
+    ],
+)
+def test_what_is_refused_is_something_where_it_gains_more_than_anything_feigns(
+    gain, feigned_gain, named, verdict
+):
+    evidence = Evidence(gain, 1.0, 0.0, np.eye(1), 0.0)
+    refused = SimpleNamespace(step=1, accepted=False, validation_gain=-1.0, evidence=evidence)
+    effects = [selected("coulomb_friction", named)] if named else []
+    assert verdict_of(effects, feigned_gain=feigned_gain, trials=(refused,)) == verdict
+
+
 def test_what_jolts_more_often_than_anybody_pushes_is_unknown():
     assert verdict_of([selected("coulomb_friction", 1e5)], jolts=True) == "unknown_effect"
 
@@ -118,10 +136,11 @@ def test_a_size_that_is_not_the_same_throughout_is_no_name(inflation, variation,
 
 
 def test_a_name_that_a_shape_a_little_wrong_would_leave_carries_a_caution():
-    """5,000 of a million is the square of 7 %."""
-    known = [("coulomb_friction", 1e6), ("payload", 2e4), ("gyro_bias", 5e3)]
-    [caution] = weak_names([selected(name, gain) for name, gain in known])
-    assert caution.startswith("gyro_bias is weak: an error of 7 % in the shape of coulomb_friction")
+    """5,000 of a million is the square of 7 %; gain alone makes none weak."""
+    known = [("coulomb_friction", 1e6, 0.0), ("payload", 5e3, 2e5), ("gyro_bias", 5e3, 1e6)]
+    [caution] = weak_names([selected(name, gain, left=left) for name, gain, left in known])
+    assert caution.startswith("gyro_bias is weak: the other effects would leave as much if they")
+    assert "7 % off" in caution
     assert weak_names([]) == []
 
 

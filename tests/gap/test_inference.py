@@ -421,6 +421,27 @@ def test_what_an_effect_does_alike_it_may_leave_in_full_and_elsewhere_nothing(ab
     assert left_by_shapes(machine, fitted, 0.0 * alike, lambda e: share) == 0.0
 
 
+def test_what_several_effects_leave_adds(dry):
+    """Each by its own columns of the derivative; one whose share is 0 leaves nothing."""
+    data, base, _ = dry
+    effects = [c for c in data.machine.candidates() if len(c.amplitudes) == 1][:2]
+    sizes = [0.5 * c.parameters[c.amplitudes[0]].scale for c in effects]
+    hypothesis = base.hypothesis
+    for effect, size in zip(effects, sizes, strict=True):
+        values = [data.machine.believed[p.places[0]] for p in effect.parameters]
+        values[effect.amplitudes[0]] += size
+        hypothesis = hypothesis.with_effect(effect, values)
+    both = fit(data, hypothesis, iterations=0)
+    change = np.random.default_rng(1).standard_normal(len(both.residual))
+    alone = [
+        left_by_shapes(data.machine, both, change, lambda effect, own=own: float(effect is own))
+        for own in effects
+    ]
+    together = left_by_shapes(data.machine, both, change, lambda effect: 1.0)
+    assert min(alone) > 0.0
+    assert together == pytest.approx(sum(alone))
+
+
 @given(vectors, vectors, arrays(np.float64, 8, elements=floats(-1.0, 1.0, width=32)))
 def test_no_shape_that_is_off_by_no_more_leaves_more(action, change, off):
     """Whatever share of its action an effect is off in each residual, up to 1; one reaches it."""

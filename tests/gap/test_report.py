@@ -82,7 +82,9 @@ def findings_of(machine, verdict, effects=(), rivals=()):
     trials.append(
         Trial(1, refused, sizes_of(refused), evidence_of(refused), 0.4, -1.0, "too weak", False)
     )
-    selected = tuple(Selected(e, sizes_of(e), evidence_of(e), tuple(rivals), 0.97) for e in effects)
+    selected = tuple(
+        Selected(e, sizes_of(e), evidence_of(e), tuple(rivals), 0.97, 1e4) for e in effects
+    )
     limits = {"viscous_friction_error": {"viscous_friction_nm_s": 1.25e-6}}
     left = Leftover("every wheel/torque", "speed cubed", 52.5, 1.5, 1e-9, 20.0, 12.0)
     leftover = (left,) if verdict == "unknown_effect" else ()

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from axis_bench import Bench, make_log, make_machine, make_runs, silent
 from omnislip.gap import search as search_module
-from omnislip.gap.inference import fit
+from omnislip.gap.inference import fit, weigh
 from omnislip.gap.machine import Machine
 from omnislip.gap.recordings import make_run
 from omnislip.gap.search import believed_hypothesis, screen, search, settle, stability_of
@@ -265,10 +265,15 @@ def test_magnets_are_counted_in_whole_numbers_where_the_log_allows(tmp_path, mag
     cogging = next(c for c in robot.candidates() if c.effect == "cogging")
     start = believed_hypothesis(robot).with_effect(cogging, [0.008, magnets + 2e-3, 0.9])
     data, fitted = settle(robot, runs, start)
-    counted = search_module._whole_numbers(data, fitted).hypothesis.values_of(0)
+    final = search_module._whole_numbers(data, fitted)
+    counted = final.hypothesis.values_of(0)
     if magnets == round(magnets):
         assert counted[1] == magnets
         assert counted[2] == pytest.approx(1.0, abs=0.02)
+        without = fit(data, final.hypothesis.without(0))
+        free, held = (weigh(data, without, one, 0).covariance for one in (fitted, final))
+        assert held[1, 1] == 0.0
+        assert 0.0 < held[2, 2] < free[2, 2]
     else:
         assert counted[1] == pytest.approx(magnets, abs=0.01)
         assert counted[1] != round(counted[1])

@@ -72,8 +72,8 @@ FEW_RUNS = (
 STABLE = 0.9
 """Share of resamples of the runs in which a name has to hold."""
 WEAK_SHARE = 1e-2
-"""Gain relative to that of the strongest effect below which a name carries a caution; below a tenth
-of this the search gives none."""
+"""Square of how far the other effects may be off what they do before they leave as much as a name
+gains, below which it carries a caution; below a tenth of this the search gives none."""
 LEAST_REST = 100.0
 """Gain beyond chance that a leftover term must have at least: where nothing is missing, how
 commands moved within rows leaves up to 60 in violent driving."""
@@ -214,7 +214,7 @@ def find_gap(
         reason = logged_set_points(machine, logs, outcome.final.hypothesis.flat(machine.believed))
         if reason:
             return _insufficient(machine, reason, inputs, wirings)
-    hopeful = outcome.selected or outcome.leftover or _refused(outcome) > SURE_GAIN
+    hopeful = outcome.selected or outcome.leftover or _surely_refused(outcome)
     if not (hopeful or wiring or impacts):
         reason = too_poor(machine, outcome.limits)
         if reason:
@@ -300,14 +300,11 @@ def _unstable(one: Selected) -> str:
 
 
 def weak_names(selected: Sequence[Selected]) -> list[str]:
-    """Return a caution for each name that another one would leave if its shape were a bit wrong."""
-    if not selected:
-        return []
-    first = max(selected, key=lambda one: one.evidence.gain)
-    shares = [(one, one.evidence.gain / first.evidence.gain) for one in selected]
+    """Return a caution for each name that others would leave if their shapes were a bit wrong."""
+    shares = [(one, one.evidence.beyond_chance / one.left) for one in selected if one.left]
     return [
-        f"{one.candidate.name} is weak: an error of {100 * share**0.5:.0f} % in the shape of "
-        f"{first.candidate.name} would leave as much."
+        f"{one.candidate.name} is weak: the other effects would leave as much if they were "
+        f"{100 * share**0.5:.0f} % off in what they do."
         for one, share in shares
         if share < WEAK_SHARE
     ]
@@ -324,13 +321,11 @@ def _verdict(
     outcome: Outcome, table: GapTable, mended: bool, shares: Sequence[Predictable], jolts: bool
 ) -> str:
     """Name effects only if they explain what is to be explained."""
-    named = sum(s.evidence.gain for s in outcome.selected)
     least = max(LEAST_REST, outcome.data.feigned_gain)
     better_term = any(
         one.gain > one.covered and one.gain / one.inflation > least for one in outcome.leftover
     )
-    sure = max(SURE_GAIN, outcome.data.feigned_gain, named)
-    if better_term or _refused(outcome) > sure or _much_is_left(table):
+    if better_term or _surely_refused(outcome) or _much_is_left(table):
         return "unknown_effect"
     if jolts or any(_no_chance(one) for one in shares) or _varying(outcome.selected):
         return "unknown_effect"
@@ -359,15 +354,19 @@ def _no_chance(found: Predictable) -> bool:
     return found.share > least and found.runs_helped > found.runs / 2
 
 
-def _refused(outcome: Outcome) -> float:
-    """Largest gain, beyond chance, of what was refused last because it spoilt the other runs."""
+def _surely_refused(outcome: Outcome) -> bool:
+    """Whether what was refused last, because it spoilt the other runs, is something for sure.
+
+    It gains more, beyond chance, than a controller feigns and than all that is named.
+    """
+    named = sum(s.evidence.gain for s in outcome.selected)
     last = max((trial.step for trial in outcome.trials), default=0)
     gains = [
         trial.evidence.beyond_chance
         for trial in outcome.trials
         if trial.step == last and not trial.accepted and trial.validation_gain <= 0
     ]
-    return max(gains, default=0.0)
+    return max(gains, default=0.0) > max(SURE_GAIN, outcome.data.feigned_gain, named)
 
 
 def _much_is_left(table: GapTable) -> bool:

@@ -393,7 +393,8 @@ def left_by_shapes(
     No plant has an effect's shape exactly. One that is off by a share e_i of what the effect does
     in residual i, a_i, leaves e_i a_i there. With |e_i| <= e that gives a change k a gain of up to
     e^2 (sum |a_i k_i|)^2 / sum k_i^2: nothing where they act in other rows or other channels,
-    e^2 sum a_i^2 where they act alike. `share_of` is e^2 of an effect of the model.
+    e^2 sum a_i^2 where they act alike. Errors of different effects are independent, their gains
+    add. `share_of` is e^2 of an effect of the model.
     """
     size, square = np.abs(change), float(change @ change)
     if not square:
@@ -407,7 +408,10 @@ def left_by_shapes(
 
 
 def _action(machine: Machine, fitted: Fit, index: int) -> Array:
-    """What an effect of the model does to the residuals (m,), by their derivative."""
+    """What an effect of the model does to the residuals (m,), by their derivative.
+
+    Of a limit, which is infinite where it is absent, what the limit itself does.
+    """
     hypothesis = fitted.hypothesis
     effect, sizes = hypothesis.effects[index], hypothesis.values_of(index)
     first = len(hypothesis.base) + sum(len(e.parameters) for e in hypothesis.effects[:index])
@@ -647,7 +651,10 @@ def weigh(data: Data, without: Fit, with_effect: Fit, index: int) -> Evidence:
             rest = scatter_of(data, kept, with_effect.residual, kept.T @ kept)
             chance = _chance(gain - float(np.sum(squares[~others])), rest, len(own))
             p_value = min(p_value, chance * comb(count, left_out))
-    covariance = np.linalg.pinv(information) * np.outer(scale, scale) * scatter.inflation
+    free = np.ix_(*2 * [[k for k, p in enumerate(effect.parameters) if p.low < p.high]])
+    covariance = np.zeros_like(information)
+    covariance[free] = np.linalg.pinv(information[free])
+    covariance *= np.outer(scale, scale) * scatter.inflation
     variation = _variation(data, *tested, gain, scatter.inflation)
     return Evidence(gain, scatter.inflation, p_value, covariance, variation)
 

@@ -396,8 +396,8 @@ def _thresholds() -> list[tuple[str, str]]:
         ),
         (
             f"{100 * math.sqrt(search.SHAPE_SHARE):.0f} %",
-            "how far a robot may be off what the effects of the model do: what that can feign of "
-            "another effect is not named",
+            "how far a robot may be off what the effects of the model do: another effect is named "
+            "if its gain / inflation is beyond what that can leave",
         ),
         (
             f"{search.RIVAL_MARGIN:g}",
@@ -405,8 +405,9 @@ def _thresholds() -> list[tuple[str, str]]:
         ),
         (
             f"{100 * math.sqrt(leftover.UNKNOWN_SHARE):.0f} %",
-            f"so far off (friction curve: {100 * math.sqrt(leftover.CURVE_SHARE):.0f} %): what a "
-            "nameless term gains beyond that makes the verdict unknown",
+            "how far it may be off them for nameless terms (friction curve: "
+            f"{100 * math.sqrt(leftover.CURVE_SHARE):.0f} %): one that gains more than that can "
+            "leave makes the verdict unknown",
         ),
         (
             f"{find.LEAST_REST:g}",
@@ -415,8 +416,8 @@ def _thresholds() -> list[tuple[str, str]]:
         (
             f"{rows.FEIGNED_GAIN:g}",
             "least gain / inflation of anything where a controller answers within rows "
-            f"({rows.UNSEEN:g} times as much without a camera, {rows.UNDRIVEN:g} times where a "
-            "direction is not driven)",
+            f"({rows.UNSEEN:g} times as much without a camera, and {rows.UNDRIVEN:g} times that "
+            "where a direction is not driven)",
         ),
         (
             f"{100 * find.VARIES:.0f} %",

@@ -8,8 +8,8 @@ candidates fully, and takes the best one if all of these hold:
                  and in 3 of 4 runs or beyond its scatter from run to run; free replays come nearer,
                  too (leave one out; the linear step that takes a run out of a fit is nearly exact).
                  A run of which the others tell too little does not judge
-    size         it gains more than the effects of the model feign where they are off by 3 % of what
-                 they do (`_leaked`): no plant has an effect's shape exactly
+    shape        it gains more than the other effects leave if they are 3 % off in what they do
+                 (`left_by_shapes`): no plant has an effect's shape exactly
 
 The base keys are refitted with every candidate, because they absorb much of most effects. After a
 step the noise is tuned again (an explained defect no longer counts as noise), and every accepted
@@ -91,10 +91,10 @@ THRESHOLDS = {"encoder_dropout": 1}
 """Parameters that only the rows show in which a speed passes them."""
 THRESHOLD_FACTORS = tuple(2.0 ** (0.5**halving) for halving in range(1, 6))
 SIZE_FACTORS = (0.8, 1.0, 1.25)
+"""Steps of a threshold, ever smaller, and of the size that goes with it."""
 DELAY = "actuation_delay"
 FAR_DELAYS_ROWS, FAR_STEPS_ROWS = (1.5, 2.0, 3.0, 4.0, 6.0), (0.5, 0.25)
 """Delays to which no derivative leads, in rows, and steps from the best of them."""
-"""Steps of a threshold, ever smaller, and of the size that goes with it."""
 
 
 @dataclass(frozen=True)
@@ -127,6 +127,8 @@ class Selected:
     evidence: Evidence
     rivals: tuple[str, ...]
     stability: float
+    left: float
+    """Gain that the other effects would leave to it if they were off by all that they do."""
 
 
 @dataclass(frozen=True)
@@ -187,7 +189,7 @@ def search(
         delay = next((s.candidate for s in worth if s.candidate.effect == DELAY), None)
         further = ahead.far_delay(delay, accepted) if delay else None
         if further is not None:
-            found = [(_gives_way(trial, further.trial.candidate), one) for trial, one in found]
+            found = [(_gives_way(trial, "a delay of more rows"), one) for trial, one in found]
         elif accepted is None:
             further = ahead.best(found)
         trials += [*(trial for trial, _ in found), *ahead.trials]
@@ -524,14 +526,14 @@ def _try(
     for (candidate, fitted, evidence), check in zip(results, checks, strict=True):
         trial = _judge(data, current, fitted, candidate, evidence, check, step, tried)
         taken = next((one for one, _ in found if one.accepted), None)
-        found.append((_gives_way(trial, taken.candidate) if taken else trial, fitted))
+        found.append((_gives_way(trial, taken.candidate.name) if taken else trial, fitted))
     return found
 
 
-def _gives_way(trial: Trial, taken: Candidate) -> Trial:
+def _gives_way(trial: Trial, taken: str) -> Trial:
     if not trial.accepted:
         return trial
-    return replace(trial, accepted=False, reason=f"explains less than {taken.name}")
+    return replace(trial, accepted=False, reason=f"explains less than {taken}")
 
 
 def _judge(
@@ -549,9 +551,8 @@ def _judge(
     values = fitted.hypothesis.values_of(index)
     absent = _neutral(candidate, data.machine, {})
     chance = min(1.0, evidence.p_value * tried)
-    reason, passed = _verdict(
-        data, evidence, chance, check, _left_by_others(data, without, fitted, index)
-    )
+    left = SHAPE_SHARE * _left_by_others(data, without, fitted, index)
+    reason, passed = _verdict(data, evidence, chance, check, left)
     if passed and not _differs(candidate, values - absent, evidence):
         reason, passed = "its size cannot be told from none beside the other parameters", False
     sure = evidence.beyond_chance > SURE_GAIN
@@ -578,7 +579,7 @@ class _Further:
 
 
 class _Ahead:
-    """One step further where none was taken.
+    """One step further, where none was taken or a delay of some rows explains more.
 
     Each of the best is judged again by the noise that is left beside it: noise that was tuned
     without an effect covers it and pulls its size. And two defects may each be refused without the
@@ -638,13 +639,14 @@ class _Ahead:
             return float(np.nan_to_num(sum(t.log_likelihood for t in tracks), nan=-np.inf))
 
         most = candidate.parameters[0].high / row_s
-        found = {rows: likelihood(delayed(rows)) for rows in FAR_DELAYS_ROWS if rows < most}
+        found = {rows: likelihood(delayed(rows)) for rows in FAR_DELAYS_ROWS if rows <= most}
         least = likelihood(accepted.hypothesis if accepted else current) + SURE_GAIN / 2
         if max(found.values(), default=-np.inf) < least:
             return None
         for step in FAR_STEPS_ROWS:
             best = max(found, key=found.__getitem__)
-            found |= {rows: likelihood(delayed(rows)) for rows in (best - step, best + step)}
+            near = [rows for rows in (best - step, best + step) if rows <= most]
+            found |= {rows: likelihood(delayed(rows)) for rows in near if rows not in found}
         first = self._by_its_noise(candidate, delayed(max(found, key=found.__getitem__)))
         return first if first.trial.accepted else None
 
@@ -703,9 +705,9 @@ def _both_pass(data: Data, without: Fit, both: Fit, tried: int) -> bool:
     count, sure = len(without.hypothesis.effects), True
     for index in (count, count + 1):
         effect, sizes = both.hypothesis.effects[index], both.hypothesis.values_of(index)
-        alone = fit(data, both.hypothesis.without(index))
-        evidence = weigh(data, alone, both, index)
-        least = max(data.feigned_gain, _left_by_others(data, alone, both, index))
+        rest = fit(data, both.hypothesis.without(index))
+        evidence = weigh(data, rest, both, index)
+        least = max(data.feigned_gain, SHAPE_SHARE * _left_by_others(data, rest, both, index))
         if evidence.p_value * tried >= ALPHA or evidence.beyond_chance < least:
             return False
         absent = _neutral(effect, data.machine, {})
@@ -801,16 +803,18 @@ def _verdict(
     if not check.helps:
         return f"helps only {check.helped} of {voters} runs that were not fitted", False
     if evidence.beyond_chance < left:
-        return "real perhaps, but the effects found feign as much if they are off by 3 %", False
+        off = 100 * SHAPE_SHARE**0.5
+        reason = f"real perhaps, but effects found would leave as much if {off:.0f} % off in shape"
+        return reason, False
     return "explains more than any other effect", True
 
 
 def _left_by_others(data: Data, without: Fit, fitted: Fit, index: int) -> float:
-    """Gain of effect `index` that the other effects of the model may leave by their shapes."""
+    """Gain of effect `index` that the others would leave if off by all that they do."""
     own = fitted.hypothesis.effects[index]
     change = without.residual - fitted.residual
     return left_by_shapes(
-        data.machine, fitted, change, lambda effect: 0.0 if effect is own else SHAPE_SHARE
+        data.machine, fitted, change, lambda effect: 0.0 if effect is own else 1.0
     )
 
 
@@ -865,10 +869,33 @@ def _whole_numbers(data: Data, fitted: Fit) -> Fit:
         for number, parameter in enumerate(effect.parameters):
             if (effect.effect, parameter.label) in WHOLE:
                 whole = float(np.round(fitted.hypothesis.values_of(index)[number]))
-                held = fit(data, fitted.hypothesis.holding(index, number, whole))
-                if held.objective - fitted.objective < RIVAL_MARGIN:
+                held = fit(data, _turned_with(fitted, index, number, whole))
+                lost = held.objective - fitted.objective
+                without = fit(data, fitted.hypothesis.without(index))
+                inflation = weigh(data, without, fitted, index).inflation
+                if _no_more_than_chance(lost, inflation, 1):
                     fitted = held
     return fitted
+
+
+def _turned_with(fitted: Fit, index: int, number: int, value: float) -> Hypothesis:
+    """Hold a parameter of an effect at a value, its other parameters moved with it (one step)."""
+    held = fitted.hypothesis.holding(index, number, value)
+    effect, before = held.effects[index], fitted.hypothesis.values_of(index)
+    first = len(held.base) + sum(len(e.parameters) for e in held.effects[:index])
+    others = [k for k in range(len(before)) if k != number]
+    own = fitted.information[first:, first:][: len(before), : len(before)]
+    change = (value - before[number]) / effect.parameters[number].scale
+    step = -np.linalg.pinv(own[np.ix_(others, others)]) @ own[others, number] * change
+    sizes = held.values_of(index).copy()
+    for k, move in zip(others, step, strict=True):
+        parameter = effect.parameters[k]
+        moved = sizes[k] + move * parameter.scale
+        turned = _half_turn(moved) if parameter.label == PHASE else moved
+        sizes[k] = np.clip(turned, parameter.low, parameter.high)
+    x = held.x.copy()
+    x[first : first + len(sizes)] = sizes
+    return replace(held, x=x)
 
 
 def _drop_needless(data: Data, fitted: Fit, tried: int) -> Fit:
@@ -888,7 +915,8 @@ def _drop_needless(data: Data, fitted: Fit, tried: int) -> Fit:
             for index, one in enumerate(judged)
             if (one.p_value * tried >= ALPHA and one.beyond_chance < AHEAD_GAIN)
             or one.beyond_chance < data.feigned_gain
-            or one.beyond_chance < _left_by_others(data, without[index], fitted, index)
+            or one.beyond_chance
+            < SHAPE_SHARE * _left_by_others(data, without[index], fitted, index)
         ]
         if not needless:
             break
@@ -978,7 +1006,8 @@ def _compare_rivals(
             if p.label == PHASE:
                 values[i] = _half_turn(values[i])
         stability = stability_of(data, final, [without, *losers])
-        selected.append(Selected(effect, values, evidence, tuple(equals), stability))
+        left = _left_by_others(data, without, final, index)
+        selected.append(Selected(effect, values, evidence, tuple(equals), stability, left))
     return tuple(sorted(selected, key=lambda s: (s.candidate.effect == CURVE, -s.evidence.gain)))
 
 
