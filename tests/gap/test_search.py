@@ -9,6 +9,7 @@ from axis_bench import Bench, make_log, make_machine, make_runs, silent
 from omnislip.gap import search as search_module
 from omnislip.gap.inference import fit, weigh
 from omnislip.gap.machine import Machine
+from omnislip.gap.noise import track_all
 from omnislip.gap.recordings import make_run
 from omnislip.gap.search import believed_hypothesis, screen, search, settle, stability_of
 from omnislip.gap.truth import TruthCase, write_case
@@ -181,8 +182,15 @@ def test_what_gave_way_to_another_is_looked_for_again(machine, monkeypatch):
     assert sorted(names(outcome)) == ["coulomb_friction", "dead_zone"]
 
 
-def test_what_is_refused_is_judged_again_by_the_noise_that_is_left_beside_it(machine, monkeypatch):
-    """Noise that was tuned without an effect covers it; by that noise it is refused here."""
+@pytest.mark.parametrize("ahead_gain", [search_module.AHEAD_GAIN, np.inf])
+def test_what_is_refused_is_judged_again_by_the_noise_that_is_left_beside_it(
+    machine, monkeypatch, ahead_gain
+):
+    """Noise that was tuned without an effect covers it; by that noise it is refused here.
+
+    Also where its fit gains too little to be worth looking, and only the linear model promised.
+    """
+    monkeypatch.setattr(search_module, "AHEAD_GAIN", ahead_gain)
     better, noises = search_module._replays_better, []
 
     def refused_by_the_first(data, *models):
@@ -248,6 +256,26 @@ def test_a_delay_of_some_rows_is_found_in_a_loop_that_it_sets_swinging(tmp_path,
         assert further.fitted.hypothesis.values_of(0) == pytest.approx(0.0155, abs=quarter_row_s)
     else:
         assert further is None
+
+
+def test_answers_within_a_row_are_no_delay_of_some_rows(tmp_path):
+    """A likelihood that takes the commands as given prefers those of the row before."""
+    case = TruthCase(seed=86, closed_loop=True, excitation="ordinary", runs=2, noise_level=3.0)
+    write_case(case, tmp_path)
+    robot = Machine(read_model(tmp_path / "robot.toml"))
+    [delay] = [c for c in robot.candidates() if c.effect == "actuation_delay"]
+    logs = [read_log(path, "robot") for path in sorted(tmp_path.glob("run_*.csv"))]
+    runs = [replace(make_run(robot, log), unit=log.name) for log in logs]
+    data, current = settle(robot, runs, believed_hypothesis(robot))
+    delayed = current.hypothesis.with_effect(delay, [1.25 * 0.005])
+    here, before = (
+        sum(t.log_likelihood for t in track_all(robot, runs, h.flat(data.believed), data.noise))
+        for h in (current.hypothesis, delayed)
+    )
+    assert before > here + search_module.SURE_GAIN
+    ahead = search_module._Ahead(data, current, robot.candidates(), 1, 100, silent)
+    assert ahead.far_delay(delay, None) is None
+    assert ahead.trials == []
 
 
 @pytest.mark.parametrize("magnets", [7.0, 7.4])
