@@ -99,6 +99,21 @@ def test_held_out_runs_far_off_are_no_gap_to_pass_over(source, excess, error, ve
 
 
 @pytest.mark.parametrize(
+    ("excess", "error", "high", "verdict"),
+    [
+        (0.4, 0.1, 0.5, "effect_found"),
+        (2.0, 0.5, 0.5, "unknown_effect"),
+        (2.0, 1.0, 0.5, "effect_found"),
+        (50.0, 40.0, 0.5, "unknown_effect"),
+        (50.0, 40.0, 0.95, "effect_found"),
+    ],
+)
+def test_names_that_do_not_bring_held_out_runs_nearer_are_not_given(excess, error, high, verdict):
+    table = SimpleNamespace(left=Left(excess, error), closed=Closed(high - 0.2, -0.2, high))
+    assert verdict_of([selected("coulomb_friction", 1e5)], table=table) == verdict
+
+
+@pytest.mark.parametrize(
     ("gain", "feigned_gain", "named", "verdict"),
     [
         (300.0, 0.0, 0.0, "unknown_effect"),
@@ -395,14 +410,23 @@ def test_same_logs_same_result(axis, tmp_path):
 
 
 def test_what_is_held_out_changes_nothing_of_the_fit(axis, tmp_path):
-    """The held-out log is replaced by nonsense: the effect and its interval stay the same."""
+    """The held-out log is replaced by nonsense: the effect and its interval stay the same.
+
+    But as it does not bring that log nearer it is only the nearest.
+    """
     model, logs = axis_case(tmp_path)
     held = next(p for p in logs if p.stem in to_json(axis[0])["gap"]["held_out_runs"])
     write_log(make_log(Bench(coulomb_n=9.0, mass_kg=20.0), 99), held)
-    spoilt, clean = to_json(found(model, logs)), to_json(axis[0])
-    assert spoilt["effects"] == clean["effects"]
+    other = found(model, logs)
+    [spoilt], [clean] = other.outcome.selected, axis[0].outcome.selected
+    assert spoilt.candidate.name == clean.candidate.name
+    assert spoilt.values.tolist() == clean.values.tolist()
+    assert spoilt.evidence.covariance.tolist() == clean.evidence.covariance.tolist()
+    spoilt, clean = to_json(other), to_json(axis[0])
     assert spoilt["base"] == clean["base"]
     assert spoilt["gap"] != clean["gap"]
+    assert (spoilt["verdict"], clean["verdict"]) == ("unknown_effect", "effect_found")
+    assert [one["name"] for one in spoilt["nearest"]] == ["coulomb_friction"]
 
 
 def stretches(runs):

@@ -24,6 +24,16 @@ def find(machine, bench, first_seed=0):
     return search(machine, make_runs(machine, bench, seeds), None, silent)
 
 
+def robot_runs(case, folder):
+    """The robot of a case's logs, its runs, and its candidates by their effects."""
+    write_case(case, folder)
+    robot = Machine(read_model(folder / "robot.toml"))
+    logs = [read_log(path, "robot") for path in sorted(folder.glob("run_*.csv"))]
+    runs = [replace(make_run(robot, log), unit=log.name) for log in logs]
+    candidates = [*robot.candidates(), *robot.floor_candidates(runs)]
+    return robot, runs, {c.effect: c for c in candidates}
+
+
 def names(outcome):
     return [selected.candidate.effect for selected in outcome.selected]
 
@@ -226,10 +236,8 @@ def test_a_threshold_between_two_starts_is_found(tmp_path):
     """An encoder loses counts beyond 78 rad/s; starts are at 50, 100, 150, ..."""
     lost = {"fraction": 0.03, "speed_rad_s": 78.0}
     hidden = HiddenEffect("encoder_dropout", lost, 2).as_dict()
-    write_case(TruthCase(seed=5, effects=(hidden,), runs=3, run_duration_s=4.0), tmp_path)
-    robot = Machine(read_model(tmp_path / "robot.toml"))
-    logs = [read_log(path, "robot") for path in sorted(tmp_path.glob("run_*.csv"))]
-    runs = [replace(make_run(robot, log), unit=log.name) for log in logs]
+    case = TruthCase(seed=5, effects=(hidden,), runs=3, run_duration_s=4.0)
+    robot, runs, _ = robot_runs(case, tmp_path)
     data, current = settle(robot, runs, believed_hypothesis(robot))
     dropout = [c for c in robot.candidates() if (c.effect, c.wheel) == ("encoder_dropout", 2)]
     [fitted] = search_module._refit(data, current, screen(data, current, dropout))
@@ -243,10 +251,7 @@ def test_a_delay_of_some_rows_is_found_in_a_loop_that_it_sets_swinging(tmp_path,
     size = candidates[name].parameters[0].label
     hidden = HiddenEffect(name, {size: 0.0155}).as_dict()
     case = TruthCase(seed=118, effects=(hidden,), closed_loop=True, excitation="ordinary", runs=2)
-    write_case(case, tmp_path)
-    robot = Machine(read_model(tmp_path / "robot.toml"))
-    logs = [read_log(path, "robot") for path in sorted(tmp_path.glob("run_*.csv"))]
-    runs = [replace(make_run(robot, log), unit=log.name) for log in logs]
+    robot, runs, candidates = robot_runs(case, tmp_path)
     data, current = settle(robot, runs, believed_hypothesis(robot))
     accepted = fit(data, current.hypothesis.with_effect(candidates["driver_lag"], [0.0155]))
     ahead = search_module._Ahead(data, current, robot.candidates(), 1, 100, silent)
@@ -261,11 +266,8 @@ def test_a_delay_of_some_rows_is_found_in_a_loop_that_it_sets_swinging(tmp_path,
 def test_answers_within_a_row_are_no_delay_of_some_rows(tmp_path):
     """A likelihood that takes the commands as given prefers those of the row before."""
     case = TruthCase(seed=86, closed_loop=True, excitation="ordinary", runs=2, noise_level=3.0)
-    write_case(case, tmp_path)
-    robot = Machine(read_model(tmp_path / "robot.toml"))
-    [delay] = [c for c in robot.candidates() if c.effect == "actuation_delay"]
-    logs = [read_log(path, "robot") for path in sorted(tmp_path.glob("run_*.csv"))]
-    runs = [replace(make_run(robot, log), unit=log.name) for log in logs]
+    robot, runs, candidates = robot_runs(case, tmp_path)
+    delay = candidates["actuation_delay"]
     data, current = settle(robot, runs, believed_hypothesis(robot))
     delayed = current.hypothesis.with_effect(delay, [1.25 * 0.005])
     here, before = (
@@ -278,20 +280,60 @@ def test_answers_within_a_row_are_no_delay_of_some_rows(tmp_path):
     assert ahead.trials == []
 
 
+def test_edges_of_a_patch_that_were_drawn_to_a_wrong_place_are_found_again(tmp_path):
+    """Beside the other effects as they are; some centimetres away there is nothing to descend."""
+    floor = {"x_min_m": -0.1, "x_max_m": 0.4, "scale": 0.5}
+    hidden = HiddenEffect("slippery_patch", floor).as_dict()
+    case = TruthCase(seed=8, effects=(hidden,), excitation="rich", runs=2, run_duration_s=4.0)
+    robot, runs, candidates = robot_runs(case, tmp_path)
+    start = believed_hypothesis(robot).with_effect(
+        candidates["slippery_patch"], [floor["x_min_m"] + 0.04, 0.4, 0.52]
+    )
+    data, stuck = settle(robot, runs, start)
+    assert abs(stuck.hypothesis.values_of(0)[0] - floor["x_min_m"]) > 0.015
+    data, found = search_module._patch_settled(data, stuck)
+    edges_m = found.hypothesis.values_of(0)[:2]
+    assert edges_m == pytest.approx([floor["x_min_m"], floor["x_max_m"]], abs=0.002)
+
+
+@pytest.mark.parametrize("both", [False, True])
+def test_two_that_change_the_curve_stand_for_one_beside_another_curve(tmp_path, both):
+    """Unless both are there."""
+    curve, hidden = (
+        ("atan", ("low_grip", "slip_stiffness_error"))
+        if both
+        else ("tanh", ("slip_stiffness_error",))
+    )
+    case = TruthCase(
+        seed=508,
+        effects=tuple(HiddenEffect(name, {"scale": 1.45}).as_dict() for name in hidden),
+        friction_curve=curve,
+        excitation="rich",
+        runs=2,
+        run_duration_s=3.0,
+    )
+    robot, runs, candidates = robot_runs(case, tmp_path)
+    start = believed_hypothesis(robot)
+    start = start.with_effect(candidates["low_grip"], [1.3])
+    if both:
+        start = start.with_effect(candidates["slip_stiffness_error"], [1.3])
+    else:
+        start = start.with_effect(candidates["grip_falloff"], [0.3, 0.1])
+    _, found = search_module._one_of_curve(*settle(robot, runs, start), {}, silent)
+    expected = set(hidden) if both else {"contact_shape", *hidden}
+    assert {effect.effect for effect in found.hypothesis.effects} == expected
+
+
 @pytest.mark.parametrize("magnets", [7.0, 7.4])
 def test_magnets_are_counted_in_whole_numbers_where_the_log_allows(tmp_path, magnets):
     """The phase, which a count off by a hundredth turns within some revolutions, comes right."""
     hidden = {"torque_nm": 0.008, "cycles_per_rev": magnets, "phase_rad": 1.0}
     effect = HiddenEffect("cogging", hidden).as_dict()
-    write_case(
-        TruthCase(seed=3, runs=2, run_duration_s=3.0, base_offset_sd=0.0, effects=(effect,)),
-        tmp_path,
+    case = TruthCase(seed=3, runs=2, run_duration_s=3.0, base_offset_sd=0.0, effects=(effect,))
+    robot, runs, candidates = robot_runs(case, tmp_path)
+    start = believed_hypothesis(robot).with_effect(
+        candidates["cogging"], [0.008, magnets + 2e-3, 0.9]
     )
-    robot = Machine(read_model(tmp_path / "robot.toml"))
-    logs = [read_log(path, "robot") for path in sorted(tmp_path.glob("run_*.csv"))]
-    runs = [replace(make_run(robot, log), unit=log.name) for log in logs]
-    cogging = next(c for c in robot.candidates() if c.effect == "cogging")
-    start = believed_hypothesis(robot).with_effect(cogging, [0.008, magnets + 2e-3, 0.9])
     data, fitted = settle(robot, runs, start)
     final = search_module._whole_numbers(data, fitted)
     counted = final.hypothesis.values_of(0)

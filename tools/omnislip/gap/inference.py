@@ -151,6 +151,12 @@ class Fit:
         gram[:count, :count] += np.eye(count)
         return gram
 
+    def sharing(self, index: int) -> "Fit":
+        """Return this fit without the columns of effect number `index`; the others stay there."""
+        numbers = replace(self.hypothesis, x=np.arange(len(self.hypothesis.x)))
+        shared = self.jacobian[:, numbers.without(index).x]
+        return replace(self, hypothesis=self.hypothesis.without(index), jacobian=shared)
+
     def slope(self, believed: Array) -> Array:
         """Return half the derivative of Q by the parameters in units of their scales."""
         slope = self.jacobian.T @ self.residual

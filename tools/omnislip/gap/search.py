@@ -39,6 +39,7 @@ from omnislip.gap.inference import (
     free_of_fitted,
     inflation_of,
     left_by_shapes,
+    prior_penalty,
     solve_within,
     weigh,
 )
@@ -85,13 +86,17 @@ it."""
 PATCH_SCALES, PATCH_SHARE = (0.3, 0.5, 0.7, 0.9), 0.2
 """Grips of a patch to try; share of the best promise from which its edges are looked for: those of
 the screen are coarse, but explain more than a fifth of what the right ones do."""
-EDGE_HALVINGS, EDGE_STEPS = 3, np.array([-1.0, 1.0])
-"""An edge moves over a grid, then by halves, quarters and eighths of its spacing."""
+FINE_PLACES, EDGE_HALVINGS, EDGE_STEPS = np.linspace(-1.0, 1.0, 33), 3, np.array([-1.0, 1.0])
+"""An edge moves over a grid, then over a finer one (beside the right effects 10 mm decide), then by
+halves, quarters and eighths of its spacing."""
 THRESHOLDS = {"encoder_dropout": 1}
 """Parameters that only the rows show in which a speed passes them."""
 THRESHOLD_FACTORS = tuple(2.0 ** (0.5**halving) for halving in range(1, 6))
 SIZE_FACTORS = (0.8, 1.0, 1.25)
 """Steps of a threshold, ever smaller, and of the size that goes with it."""
+CURVES = ("low_grip", "slip_stiffness_error", "grip_falloff")
+"""What changes the friction over slip: where its curve is not the believed one, two of these can
+stand for one of them beside another curve."""
 DELAY = "actuation_delay"
 FAR_DELAYS_ROWS, FAR_STEPS_ROWS = (1.5, 2.0, 3.0, 4.0, 6.0), (0.5, 0.25)
 """Delays to which no derivative leads, in rows, and steps from the best of them."""
@@ -175,7 +180,7 @@ def search(
     data, base = settle(machine, runs, start or believed_hypothesis(machine), noise)
     base_values = base.hypothesis
     current, trials = base, []
-    limits = None
+    limits, curves = None, set[str]()
     neighbours: dict[str, list[Candidate]] = {}
     for step in range(1, MOST_STEPS + 1):
         progress(f"step {step}: screening {len(candidates)} effects")
@@ -213,10 +218,13 @@ def search(
             neighbours[fresh.name] = nearest
             candidates = [c for c in candidates if c.name != fresh.name]
         data, current = settle(machine, runs, accepted.hypothesis, data.noise)
-        current = _patch_again(data, _extend(machine, data, current))
+        data, current = _patch_settled(data, _extend(machine, data, current))
         current = _drop_needless(data, current, tried)
         chosen = current.hypothesis.effects
         current = _swap(data, current, neighbours, progress)
+        if _curves_in(current) != curves:  # else they have been compared
+            data, current = _one_of_curve(data, current, neighbours, progress)
+            curves = _curves_in(current)
         taken = {effect.name for effect in current.hypothesis.effects}
         candidates = [c for c in (*candidates, *chosen) if c.name not in taken]
         if len(current.hypothesis.effects) == MOST_EFFECTS:
@@ -225,7 +233,8 @@ def search(
     leftover = find_leftover(data, current)
     progress("fitting the final model")
     data, final = settle(machine, runs, current.hypothesis, data.noise)
-    final = _drop_needless(data, _extend(machine, data, final), tried)
+    data, final = _patch_settled(data, _extend(machine, data, final))
+    final = _drop_needless(data, final, tried)
     final = _whole_numbers(data, final)
     ladder = _ladder(data, base_values, final)
     selected = _compare_rivals(data, final, neighbours, progress)
@@ -459,11 +468,13 @@ def _edges_moved(data: Data, current: Fit, start: Hypothesis) -> Hypothesis:
         return start
     spacing_m = candidate.edges_m[1] - candidate.edges_m[0]
     everywhere = np.array(candidate.edges_m)
+    fine_m = spacing_m * np.diff(FINE_PLACES).max()
+    steps_m = [fine_m * EDGE_STEPS / 2**level for level in range(1, EDGE_HALVINGS + 1)]
     for edge in (0, 1, 0, 1):
-        start = _edge_moved(data, current, start, edge, everywhere)
-        for level in range(1, EDGE_HALVINGS + 1):
-            near = start.values_of(len(start.effects) - 1)[edge] + spacing_m * EDGE_STEPS / 2**level
-            start = _edge_moved(data, current, start, edge, near)
+        start = _edge_moved(data, current, start, edge, everywhere, PATCH_SCALES)
+        for near_m in (spacing_m * FINE_PLACES, *steps_m):
+            places_m = start.values_of(len(start.effects) - 1)[edge] + near_m
+            start = _edge_moved(data, current, start, edge, places_m)
     return start
 
 
@@ -485,16 +496,21 @@ def _threshold_moved(data: Data, current: Fit, start: Hypothesis, index: int) ->
 
 
 def _edge_moved(
-    data: Data, current: Fit, start: Hypothesis, edge: int, places_m: Array
+    data: Data,
+    current: Fit,
+    start: Hypothesis,
+    edge: int,
+    places_m: Array,
+    scales: Sequence[float] = (),
 ) -> Hypothesis:
-    """Move one edge of the patch to the best of the places.
+    """Move one edge of the patch to the best of the places, with its grip or one of the `scales`.
 
     Where no run shows which of some places it is, to the narrowest patch: it claims the least.
     """
     candidate, now = start.effects[-1], start.values_of(len(start.effects) - 1)
     offered = [start]
     for place_m in places_m:
-        for scale in (*PATCH_SCALES, now[2]):
+        for scale in (*scales, now[2]):
             sizes = now.copy()
             sizes[edge] = place_m
             sizes[2] = scale
@@ -733,13 +749,21 @@ def _both_pass(data: Data, without: Fit, both: Fit, tried: int) -> bool:
 
 
 def _patch_again(data: Data, fitted: Fit) -> Fit:
-    """Move the edges of a patch again, beside the other effects of the model."""
+    """Move the edges of a patch again, beside the other effects of the model as they are."""
     for index, effect in enumerate(fitted.hypothesis.effects):
         if effect.edges_m:
-            without = fit(data, fitted.hypothesis.without(index))
-            moved = fit(data, _edges_moved(data, without, fitted.hypothesis.moved_last(index)))
+            start = fitted.hypothesis.moved_last(index)
+            moved = fit(data, _edges_moved(data, fitted.sharing(index), start))
             fitted = moved if moved.objective < fitted.objective else fitted
     return fitted
+
+
+def _patch_settled(data: Data, fitted: Fit) -> tuple[Data, Fit]:
+    """Move the edges of a patch again, and settle with the noise that is left where they moved."""
+    moved = _patch_again(data, fitted)
+    if fitted.objective - moved.objective < SETTLED:
+        return data, moved
+    return settle(data.machine, data.runs, moved.hypothesis, data.noise)
 
 
 def _simplest_first(
@@ -966,6 +990,50 @@ def _swap(
         else:
             index += 1
     return fitted
+
+
+def _one_of_curve(
+    data: Data, fitted: Fit, neighbours: dict[str, list[Candidate]], progress: Progress
+) -> tuple[Data, Fit]:
+    """Put another friction curve and one effect in the place of two that change it, where likelier.
+
+    No single exchange leads there. Each model is judged by its own noise.
+    """
+    machine, pair = data.machine, _curves_in(fitted)
+    if len(pair) < 2:
+        return data, fitted
+    names = " and ".join(sorted(pair))
+    progress(f"comparing {names} with one of them beside another friction curve")
+    known = {candidate.name: candidate for candidate in machine.candidates()}
+    bare = fitted.hypothesis
+    for index, effect in reversed(list(enumerate(bare.effects))):
+        if effect.effect in (*CURVES, CURVE):
+            bare = bare.without(index)
+    curved = fit(data, bare)
+    [start] = screen(data, curved, [known[CURVE]])
+    [curved] = _refit(data, curved, [start])
+    best = settle(machine, data.runs, fitted.hypothesis, data.noise)
+    likeliest = _log_posterior(*best)
+    for start in screen(data, curved, [known[name] for name in CURVES]):
+        [one] = _refit(data, curved, [start])
+        other, one = settle(machine, data.runs, one.hypothesis, data.noise)
+        one = _extend(machine, other, one)
+        if _log_posterior(other, one) > likeliest:
+            best, likeliest = (other, one), _log_posterior(other, one)
+            neighbours[start.candidate.name] = [known[name] for name in CURVES]
+    return best
+
+
+def _curves_in(fitted: Fit) -> set[str]:
+    return {effect.effect for effect in fitted.hypothesis.effects} & set(CURVES)
+
+
+def _log_posterior(data: Data, fitted: Fit) -> float:
+    """Return the logarithm of the likelihood by the data's noise and of the base parameters'."""
+    hypothesis = fitted.hypothesis
+    tracks = track_all(data.machine, data.runs, hypothesis.flat(data.believed), data.noise)
+    prior = prior_penalty(hypothesis, data.believed, hypothesis.x)
+    return float(sum(t.log_likelihood for t in tracks) - 0.5 * np.sum(prior**2))
 
 
 def _takes_its_place(
