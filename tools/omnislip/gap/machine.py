@@ -401,7 +401,10 @@ WHOLE = {("cogging", "cycles_per_rev"), ("roller_ripple", "rollers")}
 # Starting values of shaping parameters; where the fit is not convex one start is not enough.
 SHAPE_GRIDS = {
     ("stribeck_friction", "speed_rad_s"): (4.0, 12.0, 40.0),
-    ("cogging", "cycles_per_rev"): tuple(float(n) for n in (1, 2, 4, 5, 6, 7, 8, 10, 12, 14, 24)),
+    # Each number, for one next to it is out of step after some turns; then some of many slots.
+    ("cogging", "cycles_per_rev"): tuple(
+        float(n) for n in (*range(1, 25), 28, 30, 36, 42, 48, 60, 72, 84)
+    ),
     ("roller_ripple", "rollers"): tuple(float(n) for n in range(6, 25)),
     ("grip_falloff", "speed_m_s"): (0.1, 0.3, 0.9),
     ("encoder_dropout", "speed_rad_s"): (50.0, 100.0, 150.0, 200.0, 300.0),
