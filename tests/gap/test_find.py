@@ -48,7 +48,7 @@ def robot_case(folder, *effects, drop=(), **case):
 def selected(name, gain, inflation=1.0, variation=0.0, left=0.0):
     candidate = next(c for c in ROBOT.candidates() if c.effect == name)
     evidence = Evidence(gain, inflation, 0.0, np.eye(1), variation)
-    return Selected(candidate, np.ones(1), evidence, (), 1.0, left)
+    return Selected(candidate, np.ones(1), np.ones((1, 2)), evidence, (), 1.0, left)
 
 
 def verdict_of(effects, left=(), jolts=False, feigned_gain=0.0, table=None, trials=()):

@@ -83,7 +83,8 @@ def findings_of(machine, verdict, effects=(), rivals=()):
         Trial(1, refused, sizes_of(refused), evidence_of(refused), 0.4, -1.0, "too weak", False)
     )
     selected = tuple(
-        Selected(e, sizes_of(e), evidence_of(e), tuple(rivals), 0.97, 1e4) for e in effects
+        Selected(e, sizes_of(e), interval_of(e), evidence_of(e), tuple(rivals), 0.97, 1e4)
+        for e in effects
     )
     limits = {"viscous_friction_error": {"viscous_friction_nm_s": 1.25e-6}}
     left = Leftover("every wheel/torque", "speed cubed", 52.5, 1.5, 1e-9, 20.0, 12.0)
@@ -138,6 +139,10 @@ def findings_of(machine, verdict, effects=(), rivals=()):
 
 def sizes_of(candidate):
     return np.array([1.5 * p.scale for p in candidate.parameters])
+
+
+def interval_of(candidate):
+    return sizes_of(candidate)[:, None] + 0.02 * np.array([-1.0, 1.0])
 
 
 def evidence_of(candidate):

@@ -296,6 +296,25 @@ def test_edges_of_a_patch_that_were_drawn_to_a_wrong_place_are_found_again(tmp_p
     assert edges_m == pytest.approx([floor["x_min_m"], floor["x_max_m"]], abs=0.002)
 
 
+def test_an_edge_that_nobody_drove_over_is_open_as_far_as_anybody_drove(tmp_path):
+    """And one that was is known to millimetres."""
+    hidden = {"x_min_m": -0.15, "x_max_m": 9.0, "scale": 0.5}
+    effect = HiddenEffect("slippery_patch", hidden).as_dict()
+    case = TruthCase(seed=8, effects=(effect,), runs=2, run_duration_s=4.0)
+    robot, runs, candidates = robot_runs(case, tmp_path)
+    patch = candidates["slippery_patch"]
+    end_m = patch.edges_m[-1]
+    start = believed_hypothesis(robot).with_effect(patch, [-0.15, end_m - 0.02, 0.5])
+    data, found = settle(robot, runs, start)
+    evidence = weigh(data, fit(data, found.hypothesis.without(0)), found, 0)
+    values = found.hypothesis.values_of(0)
+    low, high = search_module._interval(data, found, 0, values, evidence).T
+    assert (low < values).all()
+    assert (values < high).all()
+    assert low[0] < -0.15 < high[0] < low[0] + 0.005
+    assert high[1] == end_m
+
+
 @pytest.mark.parametrize("both", [False, True])
 def test_two_that_change_the_curve_stand_for_one_beside_another_curve(tmp_path, both):
     """Unless both are there."""

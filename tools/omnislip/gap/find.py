@@ -40,7 +40,7 @@ from omnislip.gap.recordings import (
     make_run,
     unused_columns,
 )
-from omnislip.gap.search import SURE_GAIN, Outcome, Selected, first_model, search
+from omnislip.gap.search import CONFIDENCE, SURE_GAIN, Outcome, Selected, first_model, search
 from omnislip.gap.unknown import Unknown, describe_unknown
 from omnislip.gap.where import Map, Place, describe, map_gap
 from omnislip.gap.wiring import find_wirings, mend
@@ -98,7 +98,6 @@ LEAST_TRAVEL = 20.0
 """Motion, in steps of the position sensor, below which nothing can be learned."""
 LEAST_ROWS, LEAST_S = 50, 2 * _core.SETTLE_S
 """Of a piece that is used; the filter's settling does not count."""
-CONFIDENCE = 1.959964  # 95 %
 
 
 @dataclass(frozen=True)
@@ -782,10 +781,11 @@ def _effect_json(findings: Findings, selected: Selected) -> dict[str, Any]:
     machine = findings.machine
     candidate, evidence = selected.candidate, selected.evidence
     manoeuvre = findings.manoeuvres.get(candidate.name)
-    half = CONFIDENCE * np.sqrt(np.diag(evidence.covariance))
     sizes = [
-        (p.label, {"value": float(v), "low": float(v - h), "high": float(v + h)})
-        for p, v, h in zip(candidate.parameters, selected.values, half, strict=True)
+        (p.label, {"value": float(v), "low": float(low), "high": float(high)})
+        for p, v, (low, high) in zip(
+            candidate.parameters, selected.values, selected.interval, strict=True
+        )
         if np.isfinite(v)
     ]
     refines = {label for effect, label in EXTENSIONS if effect == candidate.effect}

@@ -97,6 +97,9 @@ SIZE_FACTORS = (0.8, 1.0, 1.25)
 CURVES = ("low_grip", "slip_stiffness_error", "grip_falloff")
 """What changes the friction over slip: where its curve is not the believed one, two of these can
 stand for one of them beside another curve."""
+CONFIDENCE = 1.959964
+"""Standard deviations of a 95 % interval."""
+PROFILE_STEPS, PROFILE_BETWEEN = 0.5 ** np.arange(12.0, -1.0, -1.0), 9
 DELAY = "actuation_delay"
 FAR_DELAYS_ROWS, FAR_STEPS_ROWS = (1.5, 2.0, 3.0, 4.0, 6.0), (0.5, 0.25)
 """Delays to which no derivative leads, in rows, and steps from the best of them."""
@@ -129,6 +132,8 @@ class Selected:
 
     candidate: Candidate
     values: Array
+    interval: Array
+    """(parameters, 2): between which the values are with 95 % confidence."""
     evidence: Evidence
     rivals: tuple[str, ...]
     stability: float
@@ -1090,8 +1095,60 @@ def _compare_rivals(
                 values[i] = _half_turn(values[i])
         stability = stability_of(data, final, [without, *losers])
         left = _left_by_others(data, without, final, index)
-        selected.append(Selected(effect, values, evidence, tuple(equals), stability, left))
+        interval = _interval(data, final, index, values, evidence)
+        selected.append(
+            Selected(effect, values, interval, evidence, tuple(equals), stability, left)
+        )
     return tuple(sorted(selected, key=lambda s: (s.candidate.effect == CURVE, -s.evidence.gain)))
+
+
+def _interval(data: Data, final: Fit, index: int, values: Array, evidence: Evidence) -> Array:
+    """Return the ends (parameters, 2) of the values' 95 % intervals.
+
+    Edges and thresholds have them where Q has risen by as much as chance gives: no derivative
+    holds there, and what nobody drove over leaves an edge open as far as anybody drove.
+    """
+    half = CONFIDENCE * np.sqrt(np.diag(evidence.covariance))
+    ends = values[:, None] + half[:, None] * EDGE_STEPS
+    effect, limit = final.hypothesis.effects[index], CONFIDENCE**2 * evidence.inflation
+    if effect.edges_m:
+        for edge in (0, 1):
+            ends[edge] = [
+                _profile_end(data, final, index, edge, last_m, limit)
+                for last_m in (effect.edges_m[0], effect.edges_m[-1])
+            ]
+    if effect.effect in THRESHOLDS:
+        number = THRESHOLDS[effect.effect]
+        lasts = values[number] / THRESHOLD_FACTORS[0], values[number] * THRESHOLD_FACTORS[0]
+        ends[number] = [_profile_end(data, final, index, number, x, limit) for x in lasts]
+    return ends
+
+
+def _profile_end(
+    data: Data, final: Fit, index: int, number: int, last: float, limit: float
+) -> float:
+    """Return the furthest value of a parameter towards `last` at which Q rises by less than limit.
+
+    The other effects are moved by one linear step. Steps double, and the last is halved again.
+    """
+    shared, moved = final.sharing(index), final.hypothesis.moved_last(index)
+    effect, sizes = moved.effects[-1], moved.values_of(len(moved.effects) - 1)
+
+    def furthest(values: Array) -> int:
+        offered = [shared.hypothesis.with_effect(effect, sizes)]
+        for value in values:
+            other = sizes.copy()
+            other[number] = value
+            offered.append(shared.hypothesis.with_effect(effect, other))
+        costs = costs_refitted(data, shared, offered)
+        return int(np.flatnonzero(costs[1:] - costs[0] < limit).max(initial=-1))
+
+    away = sizes[number] + (last - sizes[number]) * np.concatenate([[0.0], PROFILE_STEPS])
+    reached = furthest(away)
+    if reached == len(away) - 1:
+        return last
+    between = np.linspace(away[reached], away[reached + 1], PROFILE_BETWEEN)
+    return float(between[max(furthest(between), 0)])
 
 
 def stability_of(data: Data, final: Fit, others: Sequence[Fit]) -> float:
