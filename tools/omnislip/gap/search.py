@@ -1113,10 +1113,8 @@ def _interval(data: Data, final: Fit, index: int, values: Array, evidence: Evide
     effect, limit = final.hypothesis.effects[index], CONFIDENCE**2 * evidence.inflation
     if effect.edges_m:
         for edge in (0, 1):
-            ends[edge] = [
-                _profile_end(data, final, index, edge, last_m, limit)
-                for last_m in (effect.edges_m[0], effect.edges_m[-1])
-            ]
+            lasts_m = min(effect.edges_m[0], values[edge]), max(effect.edges_m[-1], values[edge])
+            ends[edge] = [_profile_end(data, final, index, edge, x_m, limit) for x_m in lasts_m]
     if effect.effect in THRESHOLDS:
         number = THRESHOLDS[effect.effect]
         lasts = values[number] / THRESHOLD_FACTORS[0], values[number] * THRESHOLD_FACTORS[0]
@@ -1129,7 +1127,7 @@ def _profile_end(
 ) -> float:
     """Return the furthest value of a parameter towards `last` at which Q rises by less than limit.
 
-    The other effects are moved by one linear step. Steps double, and the last is halved again.
+    The other effects are moved by one linear step. Steps double; the last is cut into eighths.
     """
     shared, moved = final.sharing(index), final.hypothesis.moved_last(index)
     effect, sizes = moved.effects[-1], moved.values_of(len(moved.effects) - 1)
