@@ -274,10 +274,15 @@ class Engine {
 
     nb::list innovations_of(const std::vector<const Recording *> &recordings,
                             const std::vector<const Track *> &tracks, const Array2 &values,
-                            double step_s) const {
+                            double step_s, double least_rate_1_s) const {
         return batch(recordings, tracks, values, [&](const ParameterSets &sets, const auto &out) {
-            innovations(*kernel_, recordings, tracks, sets, step_s, out);
+            innovations(*kernel_, recordings, tracks, sets, step_s, least_rate_1_s, out);
         });
+    }
+
+    double fastest_rate_1_s(const Array1 &values) const {
+        check_size(values.shape(0));
+        return kernel_->fastest_rate_1_s(values.data(), 1);
     }
 
     nb::list replays_of(const std::vector<const Recording *> &recordings,
@@ -690,7 +695,8 @@ void bind_replay(nb::module_ &m) {
              "output"_a, "initial"_a, "timing_s2"_a, "unresolved"_a, "unresolved_current"_a,
              "coloured"_a, "colour_rate_1_s"_a)
         .def("innovations", &Engine::innovations_of, "recordings"_a, "tracks"_a, "values"_a,
-             "step_s"_a = 1e-3)
+             "step_s"_a = 1e-3, "least_rate_1_s"_a = 0.0)
+        .def("fastest_rate_1_s", &Engine::fastest_rate_1_s, "values"_a)
         .def("replays", &Engine::replays_of, "recordings"_a, "tracks"_a, "values"_a,
              "step_s"_a = 1e-3, "window_s"_a = 1.0);
 }

@@ -253,12 +253,12 @@ std::vector<Track> track_all(const Kernel &kernel, const std::vector<const Recor
 
 void innovations(const Kernel &kernel, const std::vector<const Recording *> &recordings,
                  const std::vector<const Track *> &tracks, const ParameterSets &sets, double step_s,
-                 const std::vector<double *> &residuals) {
+                 double least_rate_1_s, const std::vector<double *> &residuals) {
     for_each_group(kernel, static_cast<int>(recordings.size()), sets,
                    [&](int r, int first, int count, const double *values) {
                        const long plane = static_cast<long>(recordings[r]->rows) * kernel.outputs();
                        kernel.innovations(*recordings[r], *tracks[r], values, count, step_s,
-                                          residuals[r] + first * plane);
+                                          least_rate_1_s, residuals[r] + first * plane);
                    });
 }
 

@@ -130,9 +130,11 @@ class Kernel {
      * [points][motors], derivative [points][states]; time 0, memory settled. */
     virtual void derivatives(const void *loaded, int points, const double *states,
                              const double *commands, double *derivative) const = 0;
-    /* First `count` <= lanes() sets from `values` on; residuals [set][row][output]. */
+    /* First `count` <= lanes() sets from `values` on; residuals [set][row][output]. Sets that are
+     * no faster than least_rate_1_s take the same steps, so that their difference is smooth. */
     virtual void innovations(const Recording &recording, const Track &track, const double *values,
-                             int count, double step_s, double *residuals) const = 0;
+                             int count, double step_s, double least_rate_1_s,
+                             double *residuals) const = 0;
     virtual void replays(const Recording &recording, const Track &track, const double *values,
                          int count, double step_s, double window_s, double *errors) const = 0;
     /* `count` <= lanes() noises along a track with its matrices: log_likelihood [noise] is added
@@ -162,7 +164,7 @@ std::vector<Track> track_all(const Kernel &kernel, const std::vector<const Recor
 /* All recordings, all sets: residuals[r] holds [set][row][output] of recording r. */
 void innovations(const Kernel &kernel, const std::vector<const Recording *> &recordings,
                  const std::vector<const Track *> &tracks, const ParameterSets &sets, double step_s,
-                 const std::vector<double *> &residuals);
+                 double least_rate_1_s, const std::vector<double *> &residuals);
 void replays(const Kernel &kernel, const std::vector<const Recording *> &recordings,
              const std::vector<const Track *> &tracks, const ParameterSets &sets, double step_s,
              double window_s, const std::vector<double *> &errors);

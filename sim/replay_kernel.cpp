@@ -365,8 +365,10 @@ class KernelOf final : public Kernel {
     }
 
     void innovations(const Recording &recording, const Track &track, const double *values,
-                     int count, double step_s, double *residuals) const override {
-        const Loaded loaded(values, count, total_parameters(), terms_);
+                     int count, double step_s, double least_rate_1_s,
+                     double *residuals) const override {
+        Loaded loaded(values, count, total_parameters(), terms_);
+        loaded.rate_1_s = std::max(loaded.rate_1_s, least_rate_1_s);
         const long plane = static_cast<long>(recording.rows) * kOutputs;
         S x[kAll], disturbance[kPushes + 1], innovation[kOutputs], white[kOutputs];
         std::fill_n(disturbance, kPushes, S(0.0));

@@ -315,6 +315,24 @@ def test_an_edge_that_nobody_drove_over_is_open_as_far_as_anybody_drove(tmp_path
     assert high[1] == end_m
 
 
+def test_a_current_limit_is_no_better_known_than_what_an_ampere_is(tmp_path):
+    """Half the current through twice the resistance and torque constant moves a robot alike.
+
+    Each is believed to 2 % and nothing else tells: 2 % / sqrt(2) is the least deviation.
+    """
+    effect = HiddenEffect("current_limit", {"limit_a": 4.0}).as_dict()
+    case = TruthCase(seed=8, effects=(effect,), excitation="rich", runs=2, run_duration_s=3.0)
+    robot, runs, candidates = robot_runs(case, tmp_path)
+    start = believed_hypothesis(robot).with_effect(candidates["current_limit"], [5.0])
+    data, found = settle(robot, runs, start)
+    evidence = weigh(data, fit(data, found.hypothesis.without(0)), found, 0)
+    [limit_a] = values = found.hypothesis.values_of(0)
+    [[low_a, high_a]] = search_module._interval(data, found, 0, values, evidence)
+    assert low_a < 4.0 < high_a
+    assert evidence.gain > 1e5
+    assert 1.9 * 0.02 / np.sqrt(2.0) < (high_a - limit_a) / limit_a < 0.06
+
+
 @pytest.mark.parametrize("both", [False, True])
 def test_two_that_change_the_curve_stand_for_one_beside_another_curve(tmp_path, both):
     """Unless both are there."""

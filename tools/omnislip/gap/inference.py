@@ -42,7 +42,14 @@ BLOCK_S = 0.5
 BATCH = 64
 STEPS = (1.0, 0.5, 0.2, 0.05)
 FEW_STEPS = (1.0, 0.3)
-SECANT = 0.05
+KEY_SECANT, SECANT = 0.002, 0.05
+"""Length of the secants of keys, and of the first of effects, in units of their scales."""
+FINE_SECANT = 0.1
+"""By how much in norm the fine secants change the residuals: chance has one of many each."""
+ALIKE = 4.0
+"""Factor within which a fine secant has the size of the one before it, if there is a derivative."""
+STEPS_ALIKE = 1.02
+"""Sets faster than the first by up to this take its steps: what steps change is no derivative."""
 DIVERGED = 1e3
 """Whitened residual of a model with which the frozen predictor is not stable."""
 CONVERGED = 0.05
@@ -151,6 +158,20 @@ class Fit:
         gram[:count, :count] += np.eye(count)
         return gram
 
+    def covariance(self, index: int) -> Array:
+        """Return the covariance of effect number `index` in its units, were residuals white.
+
+        What rests on a bound is no better known for that, here and for what goes with it.
+        """
+        hypothesis = self.hypothesis
+        free = np.flatnonzero([p.low < p.high for p in hypothesis.parameters])
+        whole = np.zeros_like(self.information)
+        whole[np.ix_(free, free)] = np.linalg.pinv(self.information[np.ix_(free, free)])
+        first = len(hypothesis.base) + sum(len(e.parameters) for e in hypothesis.effects[:index])
+        own = slice(first, first + len(hypothesis.effects[index].parameters))
+        scale = np.array([p.scale for p in hypothesis.effects[index].parameters])
+        return whole[own, own] * np.outer(scale, scale)
+
     def sharing(self, index: int) -> "Fit":
         """Return this fit without the columns of effect number `index`; the others stay there."""
         numbers = replace(self.hypothesis, x=np.arange(len(self.hypothesis.x)))
@@ -182,6 +203,7 @@ class Data:
         self.units = np.array([units.index(run.unit) for run in self.runs])
         """Number of the unit of each run (runs,)."""
         self.scale = 1.0
+        self._least_rate_1_s = STEPS_ALIKE * machine.engine.fastest_rate_1_s(values)
         news = news_of(machine, runs, self.tracks)
         self.hidden = Projection(
             self._kept_only(hidden_columns(machine, runs, self.tracks, values, news))
@@ -215,6 +237,7 @@ class Data:
                     [self.tracks[k] for k in runs],
                     batch,
                     step_s=STEP_S,
+                    least_rate_1_s=self._least_rate_1_s,
                 )
                 for run, array in zip(runs, arrays, strict=True):
                     own = array[:, int(np.argmax(self._kept[run])) :].reshape(len(batch), -1)
@@ -266,15 +289,68 @@ def objective(data: Data, hypothesis: Hypothesis, x: Array) -> Array:
     return chance + np.sum(z**2, axis=1)
 
 
-def linearise(data: Data, hypothesis: Hypothesis) -> tuple[Array, Array]:
-    """Return residual (m,) and its derivative (m, parameters) by z = change / scale."""
-    scale = np.array([p.scale for p in hypothesis.parameters])
-    high = np.array([p.high for p in hypothesis.parameters])
-    steps = np.where(hypothesis.x + SECANT * scale <= high, SECANT, -SECANT)
-    points = np.vstack([hypothesis.x, hypothesis.x + np.diag(steps * scale)])
-    flats = np.stack([hypothesis.flat(data.believed, row) for row in points])
-    residuals = data.residuals(flats)
-    return residuals[0], ((residuals[1:] - residuals[0]) / steps[:, None]).T
+def linearise(
+    data: Data,
+    models: Sequence[Hypothesis],
+    first: int = 0,
+    residuals: Sequence[Array] | None = None,
+    last: Sequence[Array] | None = None,
+) -> tuple[Sequence[Array], list[Array]]:
+    """Return each model's residual (m,) and derivative (m, own) by its parameters from `first` on.
+
+    By z = change / scale. `residuals` and `last`, derivatives from nearby, are given if known: the
+    secants of effects are then so short that the residuals change by FINE_SECANT. Strong effects
+    need that: a column of norm n that is off by a share e feigns an information of (e n)^2 where
+    two parameters cannot be told apart. What changes in steps (edges, thresholds, a limit that just
+    does not act) has no derivative: its fine secant is of another size, and the long one stays.
+    """
+    longest = [
+        np.where(np.arange(first, len(model.x)) < len(model.base), KEY_SECANT, SECANT)
+        for model in models
+    ]
+    if last is None:
+        return _secants(data, models, first, longest, residuals)
+    sizes = [np.linalg.norm(one, axis=0) for one in last]
+    fine = [
+        np.minimum(most, FINE_SECANT / np.maximum(size, FINE_SECANT))
+        for most, size in zip(longest, sizes, strict=True)
+    ]
+    residuals, columns = _secants(data, models, first, fine, residuals)
+    for k, (own, size) in enumerate(zip(columns, sizes, strict=True)):
+        found = np.linalg.norm(own, axis=0)
+        odd = (fine[k] < longest[k]) & ~((found < ALIKE * size) & (size < ALIKE * found))
+        if odd.any():
+            long = [np.where(odd, longest[k], 0.0)]
+            _, [again] = _secants(data, [models[k]], first, long, [residuals[k]])
+            own[:, odd] = again[:, odd]
+    return residuals, columns
+
+
+def _secants(
+    data: Data,
+    models: Sequence[Hypothesis],
+    first: int,
+    lengths: Sequence[Array],
+    residuals: Sequence[Array] | None,
+) -> tuple[Sequence[Array], list[Array]]:
+    """Residuals and secants (m, own) of models by their parameters from `first` on; 0 if of 0."""
+    points = [] if residuals is not None else [model.flat(data.believed) for model in models]
+    steps = []
+    for k, model in enumerate(models):
+        for i in np.flatnonzero(lengths[k]):
+            p, moved = model.parameters[first + i], model.x.copy()
+            step = float(lengths[k][i])
+            step = step if moved[first + i] + step * p.scale <= p.high else -step
+            moved[first + i] += step * p.scale
+            points.append(model.flat(data.believed, moved))
+            steps.append((k, i, step))
+    found = data.residuals(np.stack(points)) if points else np.empty((0, 0))
+    if residuals is None:
+        residuals, found = found[: len(models)], found[len(models) :]
+    columns = [np.zeros((len(r), len(s))) for r, s in zip(residuals, lengths, strict=True)]
+    for (k, i, step), residual in zip(steps, found, strict=True):
+        columns[k][:, i] = (residual - residuals[k]) / step
+    return residuals, columns
 
 
 def fit(data: Data, hypothesis: Hypothesis, iterations: int = 10) -> Fit:
@@ -282,8 +358,8 @@ def fit(data: Data, hypothesis: Hypothesis, iterations: int = 10) -> Fit:
     scale = np.array([p.scale for p in hypothesis.parameters])
     low = np.array([p.low for p in hypothesis.parameters])
     high = np.array([p.high for p in hypothesis.parameters])
-    current = hypothesis
-    residual, jacobian = linearise(data, current)
+    current, fine = hypothesis, not hypothesis.effects
+    [residual], [jacobian] = linearise(data, [current])
     best = _cost(data, current, residual)
     for _ in range(iterations):
         here = Fit(current, best, residual, jacobian)
@@ -296,9 +372,11 @@ def fit(data: Data, hypothesis: Hypothesis, iterations: int = 10) -> Fit:
         gained = best - costs[pick]
         if gained > 0:
             current, best, residual = trials[pick], costs[pick], found[pick]
-        if gained < CONVERGED:
+        if gained < CONVERGED and fine:
             break  # so near that the derivative is still that of the optimum
-        residual, jacobian = linearise(data, current)
+        first = 0 if gained >= CONVERGED else len(current.base)
+        _, [own] = linearise(data, [current], first, [residual], [jacobian[:, first:]])
+        jacobian, fine = np.hstack([jacobian[:, :first], own]), True
     return Fit(current, best, residual, jacobian)
 
 
@@ -313,9 +391,8 @@ def fit_more(
     count = current.jacobian.shape[1]
     shared = current.information
     models = list(starts)
-    residuals = data.residuals(np.stack([m.flat(data.believed) for m in models]))
+    residuals, columns = linearise(data, models, count)
     costs = np.array([_cost(data, m, r) for m, r in zip(models, residuals, strict=True)])
-    columns = _own_columns(data, models, residuals, count)
     live = set(range(len(models)))
     for _ in range(iterations):
         order = sorted(live)
@@ -336,7 +413,8 @@ def fit_more(
             if gained < WORTH_A_ROUND:
                 live.discard(k)
         moved = sorted(live)
-        fresh = _own_columns(data, [models[k] for k in moved], residuals[moved], count)
+        last = [columns[k] for k in moved]
+        _, fresh = linearise(data, [models[k] for k in moved], count, residuals[moved], last)
         for k, own_columns in zip(moved, fresh, strict=True):
             columns[k] = own_columns
     return [
@@ -548,29 +626,6 @@ def _within(hypothesis: Hypothesis, step: Array) -> Array:
     parameters = hypothesis.parameters
     moved = hypothesis.x + step * np.array([p.scale for p in parameters])
     return np.clip(moved, [p.low for p in parameters], [p.high for p in parameters])
-
-
-def _own_columns(
-    data: Data, models: Sequence[Hypothesis], residuals: Array, count: int
-) -> list[Array]:
-    """Derivative by the parameters from number `count` on, of each model (m, own)."""
-    points, steps = [], []
-    for model in models:
-        for i, p in enumerate(model.parameters[count:], count):
-            step = SECANT if model.x[i] + SECANT * p.scale <= p.high else -SECANT
-            moved = model.x.copy()
-            moved[i] += step * p.scale
-            points.append(model.flat(data.believed, moved))
-            steps.append(step)
-    if not points:
-        return []
-    found = data.residuals(np.stack(points))
-    result, first = [], 0
-    for model, residual in zip(models, residuals, strict=True):
-        own = range(first, first + len(model.x) - count)
-        result.append(np.stack([(found[i] - residual) / steps[i] for i in own], axis=1))
-        first = own.stop
-    return result
 
 
 def _shared_step(

@@ -497,7 +497,8 @@ def fit_rival(data: Data, base: Hypothesis, candidate: Candidate) -> Fit:
 
 def _lead_with_logs(new: Expected, rival: Fit) -> float:
     """L on a new log beside old ones, on which the rival was fitted: one linear step."""
-    difference, jacobian = linearise(new, rival.hypothesis)
+    residuals, rough = linearise(new, [rival.hypothesis])
+    [difference], [jacobian] = linearise(new, [rival.hypothesis], 0, residuals, rough)
     known = rival.jacobian.T @ rival.jacobian
     count = len(rival.hypothesis.base)
     known[:count, :count] += np.eye(count)

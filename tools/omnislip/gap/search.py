@@ -1108,7 +1108,7 @@ def _interval(data: Data, final: Fit, index: int, values: Array, evidence: Evide
     Edges and thresholds have them where Q has risen by as much as chance gives: no derivative
     holds there, and what nobody drove over leaves an edge open as far as anybody drove.
     """
-    half = CONFIDENCE * np.sqrt(np.diag(evidence.covariance))
+    half = CONFIDENCE * np.sqrt(np.diag(final.covariance(index)) * evidence.inflation)
     ends = values[:, None] + half[:, None] * EDGE_STEPS
     effect, limit = final.hypothesis.effects[index], CONFIDENCE**2 * evidence.inflation
     if effect.edges_m:
@@ -1125,7 +1125,7 @@ def _interval(data: Data, final: Fit, index: int, values: Array, evidence: Evide
 def _profile_end(
     data: Data, final: Fit, index: int, number: int, last: float, limit: float
 ) -> float:
-    """Return the furthest value of a parameter towards `last` at which Q rises by less than limit.
+    """Return the first value of a parameter towards `last` at which Q has risen by limit, or last.
 
     The other effects are moved by one linear step. Steps double; the last is cut into eighths.
     """
@@ -1146,7 +1146,7 @@ def _profile_end(
     if reached == len(away) - 1:
         return last
     between = np.linspace(away[reached], away[reached + 1], PROFILE_BETWEEN)
-    return float(between[max(furthest(between), 0)])
+    return float(between[max(furthest(between[:-1]), 0) + 1])
 
 
 def stability_of(data: Data, final: Fit, others: Sequence[Fit]) -> float:
