@@ -650,7 +650,7 @@ def _effect_words(machine: Machine, selected: Selected) -> str:
     for k in candidate.amplitudes:
         name = candidate.parameters[k].label
         unit = machine.unit(candidate.effect, name)
-        half = CONFIDENCE * float(np.sqrt(selected.evidence.covariance[k, k]))
+        half = 0.5 * float(np.ptp(selected.interval[k]))
         value = f"{selected.values[k]:.3g} ± {half:.1g}"
         sizes.append(
             f"{machine.file_parameter(name)} {value}" + (f" {unit}" if unit != "1" else "")
