@@ -80,9 +80,9 @@ AHEAD_GAIN = 50.0
 is worth looking one step ahead, and none is needless: another one that is missing blurs it."""
 BEAM, BEAM_REFITS = 3, 6
 RESAMPLES, LEAST_RUNS_TO_RESAMPLE = 1000, 4
-MOST_TUNINGS, SETTLED = 6, 1.0
-"""Times that noise and model are fitted in turn, and change of Q by what the fit moved that ends
-it."""
+MOST_TUNINGS, AHEAD_TUNINGS, SETTLED = 6, 3, 1.0
+"""Times that noise and model are fitted in turn, at most; the same to look one step ahead, for what
+passes settles again; and change of Q by what the fit moved that ends it."""
 PATCH_SCALES, PATCH_SHARE = (0.3, 0.5, 0.7, 0.9), 0.2
 """Grips of a patch to try; share of the best promise from which its edges are looked for: those of
 the screen are coarse, but explain more than a fifth of what the right ones do."""
@@ -272,14 +272,15 @@ def settle(
     runs: Sequence[Run],
     start: Hypothesis,
     noise: Noise | None = None,
+    tunings: int = MOST_TUNINGS,
 ) -> tuple[Data, Fit]:
-    """Tune the noise at `start` and fit, until predictor and model agree.
+    """Tune the noise at `start` and fit, until predictor and model agree or for so many times.
 
     Noise that was tuned for keys which are off gives others that are off in another way.
     """
     hypothesis = start
     scale = np.array([p.scale for p in start.parameters])
-    for _ in range(MOST_TUNINGS):
+    for _ in range(tunings):
         values = hypothesis.flat(machine.believed)
         noise = tune_noise(machine, runs, values, noise, paths=1)
         data = Data(machine, runs, noise, values)
@@ -689,7 +690,7 @@ class _Ahead:
     def _by_its_noise(self, candidate: Candidate, start: Hypothesis) -> _Further:
         self._progress(f"step {self._step}: looking ahead from {candidate.name}")
         machine, noise = self._data.machine, self._data.noise
-        data, first = settle(machine, self._data.runs, start, noise)
+        data, first = settle(machine, self._data.runs, start, noise, AHEAD_TUNINGS)
         without = fit(data, self._current.hypothesis)
         evidence = weigh(data, without, first, len(without.hypothesis.effects))
         [check] = check_unseen(data, without, [first])
