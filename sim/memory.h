@@ -34,10 +34,10 @@ constexpr double kCoolingTime_s = 60.0; /* of a winding into its housing */
 /* Teeth that meet behind a play, where no compliance is given: a stiff, well damped contact. */
 constexpr double kToothFrequency_rad_s = 3000.0;
 constexpr double kToothDampingRatio = 0.6;
-/* Steps after a jump of the command, beside steps of 1 ms: with them the worst error of a hard drive
- * falls from 0.2 mm to 0.3 um (tests/sim/test_accuracy.py). The error of a rule of order 4 grows with
- * the fourth power of the step, but with the second where the rim crosses the kink of the friction
- * law: the two stay alike where the fine step goes with the square of the other. */
+/* Steps after a jump of the command, beside steps of 1 ms: with them the worst error of a hard
+ * drive falls from 0.2 mm to 0.3 um (tests/sim/test_accuracy.py). The error of a rule of order 4
+ * grows with the fourth power of the step, but with the second where the rim crosses the kink of
+ * the friction law: the two stay alike where the fine step goes with the square of the other. */
 constexpr double kJumpSettles_s = 20e-3;
 constexpr double kJumpStep_s = 0.125e-3, kBesideJumpStep_s = 1e-3;
 
