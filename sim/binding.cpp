@@ -258,8 +258,7 @@ class Engine {
                                  double unresolved_current, const std::vector<double> &coloured,
                                  double colour_rate_1_s, double step_s, double window_s,
                                  bool keep_linear) const {
-        check_size(values.shape(0));
-        require_rate(kernel_->fastest_rate_1_s(values.data(), 1));
+        require_rate(fastest_rate_1_s(values));
         const Noise noise{to_vector(process), to_vector(output), to_vector(initial),
                           timing_s2,          unresolved,        unresolved_current,
                           coloured,           colour_rate_1_s};

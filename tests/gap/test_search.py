@@ -34,6 +34,14 @@ def robot_runs(case, folder):
     return robot, runs, {c.effect: c for c in candidates}
 
 
+def robot_with_magnets(magnets, folder):
+    """The same of a robot whose motors cog; the phase is 1 rad."""
+    hidden = {"torque_nm": 0.008, "cycles_per_rev": magnets, "phase_rad": 1.0}
+    effect = HiddenEffect("cogging", hidden).as_dict()
+    case = TruthCase(seed=3, runs=2, run_duration_s=3.0, base_offset_sd=0.0, effects=(effect,))
+    return robot_runs(case, folder)
+
+
 def names(outcome):
     return [selected.candidate.effect for selected in outcome.selected]
 
@@ -364,10 +372,7 @@ def test_two_that_change_the_curve_stand_for_one_beside_another_curve(tmp_path, 
 @pytest.mark.parametrize("magnets", [9.0, 36.0])
 def test_every_number_of_magnets_is_looked_for(tmp_path, magnets):
     """One next to it is out of step after some turns, so that no fit leads from there."""
-    hidden = {"torque_nm": 0.008, "cycles_per_rev": magnets, "phase_rad": 1.0}
-    effect = HiddenEffect("cogging", hidden).as_dict()
-    case = TruthCase(seed=3, runs=2, run_duration_s=3.0, base_offset_sd=0.0, effects=(effect,))
-    robot, runs, candidates = robot_runs(case, tmp_path)
+    robot, runs, candidates = robot_with_magnets(magnets, tmp_path)
     data, current = settle(robot, runs, believed_hypothesis(robot))
     [screened] = screen(data, current, [candidates["cogging"]])
     assert screened.promise > search_module.SURE_GAIN
@@ -377,10 +382,7 @@ def test_every_number_of_magnets_is_looked_for(tmp_path, magnets):
 @pytest.mark.parametrize("magnets", [7.0, 7.4])
 def test_magnets_are_counted_in_whole_numbers_where_the_log_allows(tmp_path, magnets):
     """The phase, which a count off by a hundredth turns within some revolutions, comes right."""
-    hidden = {"torque_nm": 0.008, "cycles_per_rev": magnets, "phase_rad": 1.0}
-    effect = HiddenEffect("cogging", hidden).as_dict()
-    case = TruthCase(seed=3, runs=2, run_duration_s=3.0, base_offset_sd=0.0, effects=(effect,))
-    robot, runs, candidates = robot_runs(case, tmp_path)
+    robot, runs, candidates = robot_with_magnets(magnets, tmp_path)
     start = believed_hypothesis(robot).with_effect(
         candidates["cogging"], [0.008, magnets + 2e-3, 0.9]
     )

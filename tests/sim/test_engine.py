@@ -208,6 +208,32 @@ def test_a_rise_of_another_shape_or_beyond_the_log_is_refused():
             run.rising(wrong)
 
 
+def test_sets_that_are_hardly_faster_take_the_same_steps():
+    """A short secant across a change of steps would show that change instead of a derivative."""
+    engine = _core.Engine("robot")
+    viscous = [1e-5 * (1.0 + share) for share in (0.0, 1e-3, 2e-3)]
+    base = {"motor.viscous_friction_nm_s": viscous[0]}
+    slowest_1_s = engine.fastest_rate_1_s(parameter_set(base=base))
+    row_s = 6 * 1.4 / slowest_1_s  # six steps for the first, seven for what is faster
+    sets = np.array([parameter_set(base={"motor.viscous_friction_nm_s": v}) for v in viscous])
+    assert slowest_1_s < engine.fastest_rate_1_s(sets[1])
+    rows = 20
+    time, duty = np.arange(rows) * row_s, random_duty(rows, seed=3)
+    shown, start = np.zeros((rows, engine.outputs)), np.zeros(engine.states)
+    recording = engine.recording(time, duty, shown, start)
+    ones = np.ones(engine.states)
+    tracks = engine.track([recording], sets[0], ones, np.ones(engine.outputs), ones)
+
+    def bend(**steps):
+        alone = [one[None] for one in sets]  # those in one call share their steps
+        found = [engine.innovations([recording], tracks, one, step_s=1.0, **steps) for one in alone]
+        by_one, by_two = found[1][0] - found[0][0], found[2][0] - found[0][0]
+        return np.abs(by_two - 2.0 * by_one).max() / np.abs(by_two).max()
+
+    assert bend(least_rate_1_s=1.02 * slowest_1_s) < 1e-3
+    assert bend() > 0.1
+
+
 # ---- wrong input ----
 
 

@@ -644,6 +644,11 @@ def _jolt_words(impacts: Sequence[Impact]) -> list[str]:
     return [f"{len(impacts)} sudden jumps of velocity, more than anybody pushes"]
 
 
+def one_digit(value: float) -> str:
+    """Return a number rounded to its first digit: 20, not 2e+01."""
+    return f"{float(f'{value:.1g}'):g}"
+
+
 def _effect_words(machine: Machine, selected: Selected) -> str:
     candidate = selected.candidate
     sizes = []
@@ -651,7 +656,7 @@ def _effect_words(machine: Machine, selected: Selected) -> str:
         name = candidate.parameters[k].label
         unit = machine.unit(candidate.effect, name)
         half = 0.5 * float(np.ptp(selected.interval[k]))
-        value = f"{selected.values[k]:.3g} ± {half:.1g}"
+        value = f"{selected.values[k]:.3g} ± {one_digit(half)}"
         sizes.append(
             f"{machine.file_parameter(name)} {value}" + (f" {unit}" if unit != "1" else "")
         )

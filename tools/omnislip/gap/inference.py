@@ -45,7 +45,8 @@ FEW_STEPS = (1.0, 0.3)
 KEY_SECANT, SECANT = 0.002, 0.05
 """Length of the secants of keys, and of the first of effects, in units of their scales."""
 FINE_SECANT = 0.1
-"""By how much in norm the fine secants change the residuals: chance has one of many each."""
+"""By how much in norm the fine secants change the residuals: that of chance is the root of their
+number, some hundreds."""
 ALIKE = 4.0
 """Factor within which a fine secant has the size of the one before it, if there is a derivative."""
 STEPS_ALIKE = 1.02
@@ -88,6 +89,11 @@ class Hypothesis:
             values[list(parameter.places)] = number
         return values
 
+    def own(self, index: int) -> slice:
+        """Return where in `x` the parameters of effect number `index` are."""
+        first = len(self.base) + sum(len(e.parameters) for e in self.effects[:index])
+        return slice(first, first + len(self.effects[index].parameters))
+
     def room(self) -> tuple[Array, Array]:
         """Return how far each parameter may move down and up, in units of its scale."""
         scale = np.array([p.scale for p in self.parameters])
@@ -101,10 +107,8 @@ class Hypothesis:
 
     def without(self, index: int) -> "Hypothesis":
         """Return this model without its effect number `index`."""
-        first = len(self.base) + sum(len(e.parameters) for e in self.effects[:index])
-        gone = range(first, first + len(self.effects[index].parameters))
         effects = self.effects[:index] + self.effects[index + 1 :]
-        return replace(self, effects=effects, x=np.delete(self.x, list(gone)))
+        return replace(self, effects=effects, x=np.delete(self.x, self.own(index)))
 
     def without_effects(self) -> "Hypothesis":
         """Return the believed keys alone."""
@@ -121,7 +125,7 @@ class Hypothesis:
         parameters = list(effects[index].parameters)
         parameters[number] = replace(parameters[number], low=value, high=value)
         effects[index] = replace(effects[index], parameters=tuple(parameters))
-        x[len(self.base) + sum(len(e.parameters) for e in effects[:index]) + number] = value
+        x[self.own(index).start + number] = value
         return replace(self, effects=tuple(effects), x=x)
 
     def last_two_joined(self) -> "Hypothesis":
@@ -137,8 +141,7 @@ class Hypothesis:
 
     def values_of(self, index: int) -> Array:
         """Return the parameter values of effect number `index`."""
-        first = len(self.base) + sum(len(e.parameters) for e in self.effects[:index])
-        return self.x[first : first + len(self.effects[index].parameters)]
+        return self.x[self.own(index)]
 
 
 @dataclass(frozen=True)
@@ -167,15 +170,13 @@ class Fit:
         free = np.flatnonzero([p.low < p.high for p in hypothesis.parameters])
         whole = np.zeros_like(self.information)
         whole[np.ix_(free, free)] = np.linalg.pinv(self.information[np.ix_(free, free)])
-        first = len(hypothesis.base) + sum(len(e.parameters) for e in hypothesis.effects[:index])
-        own = slice(first, first + len(hypothesis.effects[index].parameters))
-        scale = np.array([p.scale for p in hypothesis.effects[index].parameters])
+        own = hypothesis.own(index)
+        scale = np.array([p.scale for p in hypothesis.parameters[own]])
         return whole[own, own] * np.outer(scale, scale)
 
     def sharing(self, index: int) -> "Fit":
         """Return this fit without the columns of effect number `index`; the others stay there."""
-        numbers = replace(self.hypothesis, x=np.arange(len(self.hypothesis.x)))
-        shared = self.jacobian[:, numbers.without(index).x]
+        shared = np.delete(self.jacobian, self.hypothesis.own(index), axis=1)
         return replace(self, hypothesis=self.hypothesis.without(index), jacobian=shared)
 
     def slope(self, believed: Array) -> Array:
@@ -498,7 +499,7 @@ def _action(machine: Machine, fitted: Fit, index: int) -> Array:
     """
     hypothesis = fitted.hypothesis
     effect, sizes = hypothesis.effects[index], hypothesis.values_of(index)
-    first = len(hypothesis.base) + sum(len(e.parameters) for e in hypothesis.effects[:index])
+    first = hypothesis.own(index).start
     action = np.zeros(len(fitted.residual))
     for k in effect.amplitudes:
         absent = machine.believed[effect.parameters[k].places[0]]
@@ -693,13 +694,13 @@ def weigh(data: Data, without: Fit, with_effect: Fit, index: int) -> Evidence:
     """
     hypothesis = with_effect.hypothesis
     effect = hypothesis.effects[index]
-    first = len(hypothesis.base) + sum(len(e.parameters) for e in hypothesis.effects[:index])
-    own = list(range(first, first + len(effect.parameters)))
+    places = hypothesis.own(index)
+    own = list(range(places.start, places.stop))
     score, information = _projected(with_effect, own)
     scale = np.array([hypothesis.parameters[i].scale for i in own])
     tested = score, information
     if effect.edges_m:
-        tested = _projected(with_effect, [first + i for i in effect.amplitudes])
+        tested = _projected(with_effect, [own[i] for i in effect.amplitudes])
     scatter = scatter_of(data, tested[0], with_effect.residual, tested[1])
     gain = without.objective - with_effect.objective
     p_value = _chance(gain, scatter, len(own))

@@ -71,6 +71,7 @@ def render(findings: Findings, command_line: str) -> str:
         lstrip_blocks=True,
     )
     environment.filters["number"] = format_number
+    environment.filters["one_digit"] = find.one_digit
     with mpl.rc_context(report_pictures.STYLE):
         return environment.get_template("report.html.j2").render(
             numbers=numbers,

@@ -100,6 +100,8 @@ stand for one of them beside another curve."""
 CONFIDENCE = 1.959964
 """Standard deviations of a 95 % interval."""
 PROFILE_STEPS, PROFILE_BETWEEN = 0.5 ** np.arange(12.0, -1.0, -1.0), 9
+"""Where between a value and its last an end of its interval is looked for, and places in the step
+that holds the end."""
 DELAY = "actuation_delay"
 FAR_DELAYS_ROWS, FAR_STEPS_ROWS = (1.5, 2.0, 3.0, 4.0, 6.0), (0.5, 0.25)
 """Delays to which no derivative leads, in rows, and steps from the best of them."""
@@ -927,9 +929,9 @@ def _turned_with(fitted: Fit, index: int, number: int, value: float) -> Hypothes
     """Hold a parameter of an effect at a value, its other parameters moved with it (one step)."""
     held = fitted.hypothesis.holding(index, number, value)
     effect, before = held.effects[index], fitted.hypothesis.values_of(index)
-    first = len(held.base) + sum(len(e.parameters) for e in held.effects[:index])
+    places = held.own(index)
     others = [k for k in range(len(before)) if k != number]
-    own = fitted.information[first:, first:][: len(before), : len(before)]
+    own = fitted.information[places, places]
     change = (value - before[number]) / effect.parameters[number].scale
     step = -np.linalg.pinv(own[np.ix_(others, others)]) @ own[others, number] * change
     sizes = held.values_of(index).copy()
@@ -939,7 +941,7 @@ def _turned_with(fitted: Fit, index: int, number: int, value: float) -> Hypothes
         turned = _half_turn(moved) if parameter.label == PHASE else moved
         sizes[k] = np.clip(turned, parameter.low, parameter.high)
     x = held.x.copy()
-    x[first : first + len(sizes)] = sizes
+    x[places] = sizes
     return replace(held, x=x)
 
 
@@ -1024,8 +1026,9 @@ def _one_of_curve(
         [one] = _refit(data, curved, [start])
         other, one = settle(machine, data.runs, one.hypothesis, data.noise)
         one = _extend(machine, other, one)
-        if _log_posterior(other, one) > likeliest:
-            best, likeliest = (other, one), _log_posterior(other, one)
+        likelihood = _log_posterior(other, one)
+        if likelihood > likeliest:
+            best, likeliest = (other, one), likelihood
             neighbours[start.candidate.name] = [known[name] for name in CURVES]
     return best
 
@@ -1112,14 +1115,17 @@ def _interval(data: Data, final: Fit, index: int, values: Array, evidence: Evide
     half = CONFIDENCE * np.sqrt(np.diag(final.covariance(index)) * evidence.inflation)
     ends = values[:, None] + half[:, None] * EDGE_STEPS
     effect, limit = final.hypothesis.effects[index], CONFIDENCE**2 * evidence.inflation
+    lasts = {}
     if effect.edges_m:
-        for edge in (0, 1):
-            lasts_m = min(effect.edges_m[0], values[edge]), max(effect.edges_m[-1], values[edge])
-            ends[edge] = [_profile_end(data, final, index, edge, x_m, limit) for x_m in lasts_m]
+        driven_m = effect.edges_m[0], effect.edges_m[-1]
+        lasts = {
+            edge: (min(driven_m[0], x), max(driven_m[1], x)) for edge, x in enumerate(values[:2])
+        }
     if effect.effect in THRESHOLDS:
-        number = THRESHOLDS[effect.effect]
-        lasts = values[number] / THRESHOLD_FACTORS[0], values[number] * THRESHOLD_FACTORS[0]
-        ends[number] = [_profile_end(data, final, index, number, x, limit) for x in lasts]
+        number, factor = THRESHOLDS[effect.effect], THRESHOLD_FACTORS[0]
+        lasts = {number: (values[number] / factor, values[number] * factor)}
+    for number, two in lasts.items():
+        ends[number] = [_profile_end(data, final, index, number, last, limit) for last in two]
     return ends
 
 
