@@ -161,15 +161,20 @@ class Fit:
         gram[:count, :count] += np.eye(count)
         return gram
 
-    def covariance(self, index: int) -> Array:
-        """Return the covariance of effect number `index` in its units, were residuals white.
+    def covariance(self, index: int, inflation: float) -> Array:
+        """Return the covariance of effect number `index` in its units.
 
-        What rests on a bound is no better known for that, here and for what goes with it.
+        The scores of what was logged vary by `inflation` more than if residuals were white; what
+        is believed of keys does not. What rests on a bound is no better known for that, here and
+        for what goes with it.
         """
         hypothesis = self.hypothesis
         free = np.flatnonzero([p.low < p.high for p in hypothesis.parameters])
+        logged = self.jacobian[:, free].T @ self.jacobian[:, free]
+        variance = inflation * logged + self.information[np.ix_(free, free)] - logged
+        inverse = np.linalg.pinv(self.information[np.ix_(free, free)], hermitian=True)
         whole = np.zeros_like(self.information)
-        whole[np.ix_(free, free)] = np.linalg.pinv(self.information[np.ix_(free, free)])
+        whole[np.ix_(free, free)] = inverse @ variance @ inverse
         own = hypothesis.own(index)
         scale = np.array([p.scale for p in hypothesis.parameters[own]])
         return whole[own, own] * np.outer(scale, scale)

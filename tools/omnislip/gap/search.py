@@ -1112,7 +1112,7 @@ def _interval(data: Data, final: Fit, index: int, values: Array, evidence: Evide
     Edges and thresholds have them where Q has risen by as much as chance gives: no derivative
     holds there, and what nobody drove over leaves an edge open as far as anybody drove.
     """
-    half = CONFIDENCE * np.sqrt(np.diag(final.covariance(index)) * evidence.inflation)
+    half = CONFIDENCE * np.sqrt(np.diag(final.covariance(index, evidence.inflation)))
     ends = values[:, None] + half[:, None] * EDGE_STEPS
     effect, limit = final.hypothesis.effects[index], CONFIDENCE**2 * evidence.inflation
     lasts = {}
