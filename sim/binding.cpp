@@ -216,6 +216,15 @@ Recording rising(const Recording &held, const Array2 &rise) {
     return r;
 }
 
+Recording commanded(const Recording &other, const Array2 &command) {
+    require(command.size() == other.command.size() &&
+                command.shape(0) == static_cast<std::size_t>(other.rows),
+            "command must keep its shape");
+    Recording r = other;
+    r.command.assign(command.data(), command.data() + command.size());
+    return r;
+}
+
 class Engine {
   public:
     Engine(const std::string &kind, int widest_lanes, const nb::list &user_effects, bool electric) {
@@ -655,7 +664,8 @@ void bind_replay(nb::module_ &m) {
     nb::class_<Recording>(m, "Recording")
         .def_prop_ro("rows", [](const Recording &r) { return r.rows; })
         .def("rising", &rising, "rise"_a,
-             "The same with commands that rise (rows, motors) evenly within each row.");
+             "The same with commands that rise (rows, motors) evenly within each row.")
+        .def("commanded", &commanded, "command"_a, "The same with other commands (rows, motors).");
     nb::class_<Track>(m, "Track", "Arrays are flat, row major: see replay.h for their layout.")
         .def_ro("log_likelihood", &Track::log_likelihood)
         .def_prop_ro("state", [](const Track &t) { return copy_to_numpy(t.state); })

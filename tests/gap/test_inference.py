@@ -64,7 +64,7 @@ def without_effects(machine):
 
 def estimate(machine, log, effect, start):
     """Fit and evidence of one effect on one log with known noise."""
-    data = Data(machine, [make_run(machine, log)], true_noise(), machine.believed)
+    data = Data(machine, [make_run(machine, log)], true_noise(), without_effects(machine))
     if machine.base_parameters():
         believed = fit(data, without_effects(machine))
     else:
@@ -129,7 +129,7 @@ def test_noise_is_tuned_to_what_it_is(exact):
 
 def test_innovations_of_the_true_model_are_white_with_unit_variance(exact):
     runs = make_runs(exact, Bench(), range(5))
-    data = Data(exact, runs, true_noise(), exact.believed)
+    data = Data(exact, runs, true_noise(), without_effects(exact))
     residual = data.residuals(exact.believed[None])[0]
     sigma = 1 / np.sqrt(residual.size)
     assert data.scale == pytest.approx(1.0, abs=5 * sigma)
@@ -164,7 +164,7 @@ def test_keys_stay_within_two_tolerances(believed, mass_kg):
         believed,
         make_runs(believed, Bench(mass_kg=mass_kg), range(2)),
         true_noise(),
-        believed.believed,
+        without_effects(believed),
     )
     fitted = fit(data, without_effects(believed))
     z = prior_penalty(fitted.hypothesis, believed.believed, fitted.hypothesis.x)
@@ -174,7 +174,9 @@ def test_keys_stay_within_two_tolerances(believed, mass_kg):
 
 
 def test_the_objective_is_chance_plus_what_the_keys_were_moved(believed):
-    data = Data(believed, make_runs(believed, Bench(), range(1)), true_noise(), believed.believed)
+    data = Data(
+        believed, make_runs(believed, Bench(), range(1)), true_noise(), without_effects(believed)
+    )
     hypothesis = without_effects(believed)
     x = hypothesis.x + np.array([1.0, -0.5, 2.0]) * [p.scale for p in hypothesis.base]
     chance = np.sum(data.residuals(hypothesis.flat(believed.believed, x)[None]) ** 2)
@@ -187,7 +189,7 @@ def test_the_fit_is_where_the_objective_is_least(believed):
         believed,
         make_runs(believed, Bench(mass_kg=10.1), range(2)),
         true_noise(),
-        believed.believed,
+        without_effects(believed),
     )
     fitted = fit(data, without_effects(believed))
     hypothesis, x = fitted.hypothesis, fitted.hypothesis.x
@@ -198,7 +200,9 @@ def test_the_fit_is_where_the_objective_is_least(believed):
 
 
 def test_what_the_keys_explain_is_taken_out(believed):
-    data = Data(believed, make_runs(believed, Bench(), range(2)), true_noise(), believed.believed)
+    data = Data(
+        believed, make_runs(believed, Bench(), range(2)), true_noise(), without_effects(believed)
+    )
     fitted = fit(data, without_effects(believed))
     own = fitted.jacobian[:, :1]
     rng = np.random.default_rng(1)
@@ -289,7 +293,7 @@ def dry(tmp_path_factory):
     """Four runs of an axis with dry friction, fitted without and with it."""
     machine = make_machine(tmp_path_factory.mktemp("dry"))
     runs = make_runs(machine, Bench(coulomb_n=1.0), range(4))
-    data = Data(machine, runs, true_noise(), machine.believed)
+    data = Data(machine, runs, true_noise(), without_effects(machine))
     base = fit(data, without_effects(machine))
     start = base.hypothesis.with_effect(candidate(machine, "coulomb_friction"), [0.5])
     return data, base, fit(data, start)
@@ -299,13 +303,14 @@ def test_a_fit_without_a_unit_is_that_of_the_other_runs(dry):
     """Two runs are one unit: within a tenth of a deviation of a fit that never saw them."""
     data, _, fitted = dry
     runs = [replace(r, unit=u) for r, u in zip(data.runs, ("a", "b", "a", "c"), strict=True)]
-    pooled = Data(data.machine, runs, data.noise, data.believed)
+    pooled = Data(data.machine, runs, data.noise, without_effects(data.machine))
     found = fitted_without_each_unit(pooled, fitted)
     assert len(found) == 3
     places = [p.places[0] for p in fitted.hypothesis.parameters]
     for unit, left in enumerate(([1, 3], [0, 2, 3], [0, 1, 2])):
-        others = Data(data.machine, [runs[k] for k in left], data.noise, data.believed)
-        others.scale = pooled.scale
+        rest = [runs[k] for k in left]
+        start = without_effects(data.machine)
+        others = Data(data.machine, rest, data.noise, start, scale=pooled.scale)
         again = fit(others, fitted.hypothesis)
         count = len(fitted.hypothesis.base)
         prior = np.diag([1.0] * count + [0.0] * (len(places) - count))
@@ -401,7 +406,9 @@ def doing(action, absent=0.0):
     parameter = SimpleNamespace(places=(1,), scale=scale)
     effect = SimpleNamespace(parameters=(parameter,), amplitudes=(0,))
     hypothesis = SimpleNamespace(
-        base=(None,), effects=(effect,), values_of=lambda index: np.array([size])
+        own=lambda index: slice(1, 2),
+        effects=(effect,),
+        values_of=lambda index: np.array([size]),
     )
     change = size - absent if np.isfinite(absent) else size
     jacobian = np.stack([np.ones(8), action * scale / change], axis=1)

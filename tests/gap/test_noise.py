@@ -16,6 +16,7 @@ from omnislip.gap.noise import (
     track_recordings,
     tune_noise,
 )
+from omnislip.gap.search import believed_hypothesis
 from omnislip.gap.truth import TruthCase
 from omnislip.model_file import NOMINAL_ROBOT, read_model
 from truth_bench import runs_of
@@ -274,12 +275,12 @@ def test_logs_without_a_sensor_do_not_say_how_noisy_it_is(sensor, output):
 def test_a_model_that_runs_away_is_named_with_its_log(robot):
     """Friction that drives: its filter leaves the numbers within some rows."""
     known = {c.effect: c for c in robot.machine.candidates()}
-    runaway = robot.machine.with_effect(
-        robot.machine.believed, known["viscous_friction_error"], [-0.5]
-    )
+    start = believed_hypothesis(robot.machine)
+    runaway = start.with_effect(known["viscous_friction_error"], [-0.5])
+    values = runaway.flat(robot.machine.believed)
     for follow in (
         lambda: Data(robot.machine, robot.runs, robot.noise, runaway),
-        lambda: tune_noise(robot.machine, robot.runs, runaway),
+        lambda: tune_noise(robot.machine, robot.runs, values),
     ):
         with pytest.raises(RunawayError, match=f"{robot.runs[0].name}: .* grows without bounds"):
             follow()

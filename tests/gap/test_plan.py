@@ -116,9 +116,7 @@ def test_probability_of_the_right_one():
 
 
 def test_delay_and_lag_are_told_apart_by_what_changes_fast(ranked):
-    """Not by driving lanes across the room, in all and by the second, which is what ranks them."""
-    most = max(one.separation for one in ranked)
-    assert by_name(ranked)["lanes"].separation < 0.05 * most
+    """Not by driving lanes across the room: by the second, which is what ranks them."""
     per_second = {one.manoeuvre.name: one.separation / one.manoeuvre.duration_s for one in ranked}
     assert ranked[0].manoeuvre.name in ("multisine", "chips", "twist", "reversals", "slip_steps")
     assert per_second["lanes"] < 0.05 * per_second[ranked[0].manoeuvre.name]
@@ -151,7 +149,7 @@ def known_of(name, sizes):
     truth, own = truth_of(name, sizes)
     run = noisy(replace(MODEL, effects=[MACHINE.effect_of(own, sizes)]), "headings")
     noise = first_guess(MACHINE, [run])
-    return planning.Data(MACHINE, [run], noise, truth.flat(MACHINE.believed)), truth
+    return planning.Data(MACHINE, [run], noise, truth), truth
 
 
 def test_what_the_logs_know_already_counts():

@@ -1,23 +1,21 @@
-"""What rows hide: the columns, their projection, and that answers to disturbances feign no lag."""
+"""What rows hide: the columns, their projection, and that commands which rise feign no lag."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from omnislip.gap import inference, rows
+from omnislip.gap import inference
 from omnislip.gap.inference import Data, fit
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import CURRENT, STEP_S, track_all, track_recordings, tune_noise
 from omnislip.gap.rows import (
     Projection,
     hidden_columns,
-    news_of,
     rise_of,
     whitened_response,
 )
 from omnislip.gap.search import believed_hypothesis, screen
 from omnislip.gap.truth import TruthCase
-from omnislip.gap.truth_effects import HiddenEffect, typical_effect
 from omnislip.model_file import NOMINAL_ROBOT, read_model
 from scipy.stats import chi2
 from truth_bench import runs_of
@@ -34,7 +32,7 @@ def data_of(electric=False, **case):
     sensors = ("gyro", "pose", "supply", "current") if electric else ("gyro", "pose")
     runs = runs_of(machine, TruthCase(base_offset_sd=0.0, sensors=sensors, **case))
     noise = tune_noise(machine, runs, machine.believed)
-    return Data(machine, runs, noise, machine.believed)
+    return Data(machine, runs, noise, believed_hypothesis(machine))
 
 
 # ---- the projection ----
@@ -130,59 +128,18 @@ def driven_finely(machine, run, noise, rise, parts=5):
     return (after - before)[::parts]
 
 
-def columns_of(machine, runs, tracks, values):
-    return hidden_columns(machine, runs, tracks, values, news_of(machine, runs, tracks))
-
-
 def test_a_log_driven_in_open_loop_hides_only_how_its_commands_rise_within_rows():
     """The first column is what a finer log would show, whose filter follows parts of rows."""
     data = data_of(seed=5, runs=2, run_duration_s=2.0)
     machine, run = data.machine, data.runs[0]
     noise = replace(data.noise, unresolved=0.0)  # a finer log leaves nothing unresolved
     tracks = track_all(machine, [run], machine.believed, noise, keep_linear=True)
-    columns = columns_of(machine, [run], tracks, machine.believed)
+    columns = hidden_columns(machine, [run], tracks, machine.believed)
     assert columns.shape[1] == 2
     kept = data.kept_rows(run)
     found = columns[:, 0].reshape(run.outputs.shape)[kept]
     expected = driven_finely(machine, run, noise, rise_of(run, from_before=False))[kept]
     assert np.linalg.norm(found - expected) < 0.05 * np.linalg.norm(expected)
-
-
-@pytest.mark.parametrize("excitation", ["rich", "ordinary"])
-def test_a_log_driven_in_open_loop_is_known_as_such(excitation):
-    """Also where a model 10 % off leaves innovations at every change of the command."""
-    machine = Machine(MODEL)
-    case = TruthCase(seed=8, excitation=excitation, base_offset_sd=0.05, noise_level=0.3)
-    runs = runs_of(machine, case)
-    noise = tune_noise(machine, runs, machine.believed)
-    data = Data(machine, runs, noise, machine.believed)
-    assert columns_of(machine, runs, data.tracks, machine.believed).shape[1] == 2
-
-
-@pytest.mark.parametrize("rows_held", [50, 700])
-@pytest.mark.parametrize("seed", [1, 2, 3])
-def test_a_command_that_is_held_is_no_answer(seed, rows_held):
-    """What its own past leaves of it is rounding, whatever innovations explain of that."""
-    data = data_of(seed=5, runs=1, run_duration_s=4.0)
-    run = data.runs[0]
-    levels = np.random.default_rng(seed).uniform(-0.4, 0.4, (len(run.t_s) // rows_held + 1, 4))
-    held = replace(run, command=np.repeat(levels, rows_held, axis=0)[: len(run.t_s)])
-    tracks = track_all(data.machine, [held], data.machine.believed, data.noise, keep_linear=True)
-    assert news_of(data.machine, [held], tracks).share == 0.0
-
-
-def test_a_programme_is_no_answer_beside_a_wrong_model(monkeypatch):
-    """Beside too much grip innovations tell how the robot moves, and that how commands go on."""
-    grip = HiddenEffect("low_grip", {"scale": 0.6}).as_dict()
-    gravity = HiddenEffect("cog_offset", {"x_m": 0.02, "y_m": 0.02}).as_dict()
-    machine = Machine(MODEL)
-    case = TruthCase(seed=9, friction_curve="brush", effects=(grip, gravity))
-    runs = runs_of(machine, case)
-    noise = tune_noise(machine, runs, machine.believed)
-    tracks = track_all(machine, runs, machine.believed, noise, keep_linear=True)
-    assert not news_of(machine, runs, tracks).answers
-    monkeypatch.setattr(rows, "_motion", lambda states: np.ones((4 * len(states), 1)))
-    assert news_of(machine, runs, tracks).answers
 
 
 @pytest.mark.parametrize("seed", [11, 16])
@@ -191,7 +148,7 @@ def test_commands_that_rise_within_rows_feign_no_lag(seed, monkeypatch):
     data = data_of(seed=seed, excitation="ordinary", noise_level=0.3)
     assert max(promises(data).values()) < CHANCE
     monkeypatch.setattr(inference, "hidden_columns", no_columns)
-    bare = Data(data.machine, data.runs, data.noise, data.machine.believed)
+    bare = Data(data.machine, data.runs, data.noise, believed_hypothesis(data.machine))
     assert max(promises(bare).values()) > 2 * CHANCE
 
 
@@ -201,14 +158,14 @@ def test_commands_that_rise_within_rows_feign_no_soft_gear(seed, monkeypatch):
     data = data_of(seed=seed, excitation="rich", noise_level=0.5)
     assert max(promises(data, SETTLING).values()) < chi2.isf(0.01, 2)
     monkeypatch.setattr(inference, "hidden_columns", no_columns)
-    bare = Data(data.machine, data.runs, data.noise, data.machine.believed)
+    bare = Data(data.machine, data.runs, data.noise, believed_hypothesis(data.machine))
     assert min(promises(bare, SETTLING).values()) > 2 * chi2.isf(0.01, 2)
 
 
 def test_currents_at_the_begin_of_a_row_are_half_a_rise_off(electric):
     """Where the first command rises: the filter has answered nothing yet."""
     believed = electric.machine.believed
-    columns = columns_of(electric.machine, electric.runs, electric.tracks, believed)
+    columns = hidden_columns(electric.machine, electric.runs, electric.tracks, believed)
     run, track = electric.runs[0], electric.tracks[0]
     rows, outputs = run.outputs.shape
     rise = rise_of(run, from_before=False)
@@ -234,9 +191,6 @@ def test_a_straight_command_rises_by_its_rate_times_the_row(electric, from_befor
     assert not rise[-1].any()
 
 
-# ---- answers to disturbances ----
-
-
 def promises(data, names=LAGS):
     """Gain that each effect promises beside the fitted keys."""
     base = fit(data, believed_hypothesis(data.machine), iterations=4)
@@ -244,47 +198,5 @@ def promises(data, names=LAGS):
     return {s.candidate.effect: s.promise for s in screen(data, base, asked)}
 
 
-def no_columns(machine, runs, tracks, values, news):
+def no_columns(machine, runs, tracks, values):
     return np.zeros((sum(len(run.t_s) for run in runs) * machine.engine.outputs, 0))
-
-
-@pytest.mark.parametrize("seed", [3, 5])
-def test_an_answer_to_strong_disturbances_feigns_no_lag(seed, monkeypatch):
-    """At three times the usual noise, and only with the columns."""
-    data = data_of(seed=seed, runs=3, run_duration_s=3.0, closed_loop=True, noise_level=3.0)
-    assert max(promises(data).values()) < CHANCE
-    monkeypatch.setattr(inference, "hidden_columns", no_columns)
-    bare = Data(data.machine, data.runs, data.noise, data.machine.believed)
-    assert min(promises(bare).values()) > 5 * CHANCE
-
-
-@pytest.mark.parametrize(
-    ("closed_loop", "excitation", "sensors", "feigned"),
-    [
-        (True, "rich", ("gyro", "pose"), 100.0),
-        (True, "rich", ("gyro",), 200.0),
-        (True, "poor", ("gyro", "pose"), 400.0),
-        (False, "ordinary", ("gyro", "pose"), 0.0),
-    ],
-)
-def test_gains_that_answers_feign_are_asked_of_closed_loops(
-    closed_loop, excitation, sensors, feigned
-):
-    """More where a direction is not driven, or nobody sees how the robot moves."""
-    machine = Machine(MODEL)
-    case = {"closed_loop": closed_loop, "excitation": excitation, "sensors": sensors}
-    runs = runs_of(
-        machine, TruthCase(seed=951, base_offset_sd=0.0, noise_level=2.0, runs=3, **case)
-    )
-    noise = tune_noise(machine, runs, machine.believed)
-    assert Data(machine, runs, noise, machine.believed).feigned_gain == feigned
-
-
-@pytest.mark.parametrize("lag", LAGS)
-def test_a_true_lag_still_stands_out(lag):
-    """The columns must not swallow what they are to be told from."""
-    hidden = (typical_effect(lag, None).as_dict(),)
-    data = data_of(seed=5, effects=hidden, runs=2, run_duration_s=2.0, closed_loop=True)
-    believed = data.machine.believed
-    assert columns_of(data.machine, data.runs, data.tracks, believed).shape[1] > 2
-    assert promises(data)[lag] > 5 * CHANCE

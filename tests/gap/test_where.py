@@ -197,7 +197,7 @@ def test_what_the_gap_looks_like_tells_parity_order_and_frame(name):
         true[list(machine.place(name, label, None))] = value
     noise = tune_noise(machine, runs, true)
     start = believed_hypothesis(machine)
-    data = Data(machine, runs, noise, machine.believed)
+    data = Data(machine, runs, noise, start)
     shapes = find_shapes(data, fit(data, start))
     strongest = max(shapes, key=lambda shape: shape.gain)
     assert looks in f"{strongest.equation}: {strongest.dependence}"

@@ -98,7 +98,7 @@ def ask_baselines(
     runs = split.fitting
     values = refit.flat(machine.believed)
     noise = tune_noise(machine, runs, values, noise)
-    data = Data(machine, runs, noise, values)
+    data = Data(machine, runs, noise, refit)
     return {
         "base refit": _free_refit(data),
         "BIC": _lowest_criterion(OpenLoop(machine, runs, noise, values), refit),

@@ -351,7 +351,7 @@ def _ask_oracle(
     sizes = [base.x] + [np.array(values) for _, values in structure]
     oracle = Hypothesis(base.base, tuple(c for c, _ in structure), np.concatenate(sizes))
     values = oracle.flat(machine.believed)
-    data = Data(machine, runs, tune_noise(machine, runs, values, noise), values)
+    data = Data(machine, runs, tune_noise(machine, runs, values, noise), oracle)
     fitted = fit(data, oracle)
     visible = None
     if truth["effects"]:

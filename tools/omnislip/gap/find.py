@@ -286,8 +286,7 @@ def find_gap(
 def _shapes(machine: Machine, split: Split, outcome: Outcome) -> list[Leftover]:
     """Describe the gap of the refitted model, by the noise of the final one."""
     start = outcome.ladder[0].hypothesis
-    flat, noise = start.flat(machine.believed), outcome.data.noise
-    data = Data(machine, split.fitting, noise, flat)
+    data = Data(machine, split.fitting, outcome.data.noise, start)
     return find_shapes(data, fit(data, start))
 
 

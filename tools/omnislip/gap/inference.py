@@ -31,10 +31,11 @@ from scipy.stats import f as f_distribution
 from scipy.stats import t as student
 
 from omnislip import _core
+from omnislip.gap.answers import Foreseen, foreseen, news_of
 from omnislip.gap.machine import Candidate, Machine, Parameter
 from omnislip.gap.noise import STEP_S, Noise, require_following, track_all
 from omnislip.gap.recordings import Run
-from omnislip.gap.rows import Projection, hidden_columns, news_of
+from omnislip.gap.rows import Projection, hidden_columns, whitened_response
 
 Array = npt.NDArray[np.float64]
 
@@ -193,12 +194,24 @@ class Fit:
 
 
 class Data:
-    """Runs with their frozen predictor: evaluates residuals of many parameter sets at once."""
+    """Runs with their frozen predictor: evaluates residuals of many parameter sets at once.
 
-    def __init__(self, machine: Machine, runs: Sequence[Run], noise: Noise, values: Array) -> None:
+    They are whitened innovations; in closed loop those of `model`, and what could be foreseen of
+    their change from there (answers.py). What rows hide is taken out of them (rows.py).
+    """
+
+    def __init__(
+        self,
+        machine: Machine,
+        runs: Sequence[Run],
+        noise: Noise,
+        model: Hypothesis,
+        scale: float | None = None,
+    ) -> None:
         self.machine = machine
         self.runs = list(runs)
         self.noise = noise
+        values = model.flat(machine.believed)
         self.tracks = track_all(machine, runs, values, noise, keep_linear=True)
         require_following(runs, self.tracks)
         self.recordings = [run.recording for run in runs]
@@ -211,27 +224,94 @@ class Data:
         self.scale = 1.0
         self._least_rate_1_s = STEPS_ALIKE * machine.engine.fastest_rate_1_s(values)
         news = news_of(machine, runs, self.tracks)
-        self.hidden = Projection(
-            self._kept_only(hidden_columns(machine, runs, self.tracks, values, news))
-        )
         self.feigned_gain = news.feigned_gain
         """Gain beyond chance below which an effect may be a controller's answer."""
-        residual = self.residuals(values[None])[0]
-        self.scale = float(np.sqrt(np.sum(residual**2) / max(np.count_nonzero(residual), 1)))
+        self._newsless = [
+            replace(run, command=command, recording=run.recording.commanded(command))
+            for run, new in zip(runs, news.new, strict=True)
+            for command in [run.command - new]
+        ]
+        columns = np.zeros((sum(len(run.t_s) for run in runs) * machine.engine.outputs, 0))
+        if machine.kind == "robot":
+            columns = hidden_columns(machine, self._newsless, self.tracks, values)
+        hidden = self._kept_only(columns)
+        self._foreseen: Foreseen | None = None
+        if news.answers:
+            rises = self._kept_only(hidden_columns(machine, runs, self.tracks, values))[:, 0]
+            [found] = self._innovations(self.recordings, values[None])
+            lengths = [_longest(model, 0)]
+            [newsless], [derivatives] = _secants(
+                self._innovations_newsless, self.believed, [model], 0, lengths, None
+            )
+            self._foreseen = Foreseen(found, newsless, derivatives, rises, hidden[:, 0])
+        self._hidden = Projection(hidden)
+        [residual] = self.residuals(values[None])
+        square = float(np.sum(residual**2)) / max(np.count_nonzero(residual), 1)
+        self.scale = square**0.5 if scale is None else scale
+        """Standard deviation of the innovations in units of what the noise says."""
 
     def residuals(self, sets: Array) -> Array:
         """Return whitened residuals (sets, m) of flat parameter sets (sets, parameters)."""
-        return self._residuals(sets[:, None], np.zeros(len(self.runs), dtype=np.int64))
+        found = self._innovations(self.recordings, sets)
+        if self._foreseen is not None:
+            found = self._foreseen.residuals(found, self._innovations_newsless(sets))
+        return self._scaled(found)
 
-    def residuals_unseen(self, sets: Array) -> Array:
-        """Return residuals (models, m) where each unit of runs has a parameter set of its own.
+    def residuals_unseen(self, fits: Sequence["Fit"], sets: Array) -> Array:
+        """Return residuals (fits, m) of fits where each unit of runs has a set of its own.
 
-        `sets` is (models, units, parameters).
+        `sets` is (fits, units, parameters). By so little are these off the fits that answers to
+        disturbances do not matter.
         """
-        return self._residuals(sets, self.units)
+        flats = np.stack([one.hypothesis.flat(self.believed) for one in fits])
+        own = self._innovations_of(self.recordings, sets, self.units)
+        change = own - self._innovations(self.recordings, flats)
+        return np.stack([one.residual for one in fits]) + self._scaled(change)
 
-    def _residuals(self, sets: Array, owners: npt.NDArray[np.int64]) -> Array:
-        """Whitened residuals (models, m); run k by the sets (models, parameters) of owners[k]."""
+    def responses(
+        self,
+        tracks: Sequence[_core.Track],
+        pushes: Callable[[int, Run, Array], tuple[Array, Array]],
+    ) -> Array:
+        """Return what pushes change of the residuals (m, n); `tracks` keep their matrices.
+
+        `pushes` gives the two of `whitened_response` from the number of a run, the run and states
+        (rows, filter states).
+        """
+
+        def columns(runs: Sequence[Run], states: Sequence[Array]) -> Array:
+            found = []
+            for k, (run, track, state) in enumerate(zip(runs, tracks, states, strict=True)):
+                response = whitened_response(self.machine, run, track, *pushes(k, run, state))
+                found.append(response[self.kept_rows(run)].reshape(-1, response.shape[2]))
+            return np.concatenate(found).T
+
+        pairs = list(zip(self.runs, tracks, strict=True))
+        found = columns(self.runs, [track.state.reshape(len(run.t_s), -1) for run, track in pairs])
+        if self._foreseen is not None:
+            before = columns(self._newsless, [foreseen(run, track) for run, track in pairs])
+            found = self._foreseen.part(found, before)
+        return self._scaled(found).T
+
+    def _scaled(self, changes: Array) -> Array:
+        """Residuals or changes (n, m) of innovations as they count."""
+        return self._hidden.apply(changes) / self.scale
+
+    def _innovations_newsless(self, sets: Array) -> Array:
+        """Whitened innovations (sets, m) by commands without their news."""
+        return self._innovations([run.recording for run in self._newsless], sets)
+
+    def _innovations(self, recordings: Sequence[_core.Recording], sets: Array) -> Array:
+        """Whitened innovations (sets, m) of flat parameter sets."""
+        return self._innovations_of(recordings, sets[:, None], np.zeros(len(self.runs), np.int64))
+
+    def _innovations_of(
+        self,
+        recordings: Sequence[_core.Recording],
+        sets: Array,
+        owners: npt.NDArray[np.int64],
+    ) -> Array:
+        """Those of models (models, m); run k by the sets (models, parameters) of owners[k]."""
         edges = np.concatenate([[0], np.cumsum(self._sizes())])
         residuals = np.empty((len(sets), edges[-1]))
         for owner in range(sets.shape[1]):
@@ -239,7 +319,7 @@ class Data:
             for first in range(0, len(sets), BATCH):
                 batch = np.ascontiguousarray(sets[first : first + BATCH, owner])
                 arrays = self.machine.engine.innovations(
-                    [self.recordings[k] for k in runs],
+                    [recordings[k] for k in runs],
                     [self.tracks[k] for k in runs],
                     batch,
                     step_s=STEP_S,
@@ -248,11 +328,10 @@ class Data:
                 for run, array in zip(runs, arrays, strict=True):
                     own = array[:, int(np.argmax(self._kept[run])) :].reshape(len(batch), -1)
                     residuals[first : first + len(batch), edges[run] : edges[run + 1]] = own
-        residuals /= self.scale
         if not max(residuals.max(), -residuals.min()) < DIVERGED:  # not so with NaN either
             np.nan_to_num(residuals, copy=False, nan=DIVERGED)
             np.clip(residuals, -DIVERGED, DIVERGED, out=residuals)
-        return self.hidden.apply(residuals)
+        return residuals
 
     def _kept_only(self, columns: Array) -> Array:
         """Rows that count of columns over all rows (all rows * outputs, n)."""
@@ -310,37 +389,42 @@ def linearise(
     two parameters cannot be told apart. What changes in steps (edges, thresholds, a limit that just
     does not act) has no derivative: its fine secant is of another size, and the long one stays.
     """
-    longest = [
-        np.where(np.arange(first, len(model.x)) < len(model.base), KEY_SECANT, SECANT)
-        for model in models
-    ]
+    longest = [_longest(model, first) for model in models]
     if last is None:
-        return _secants(data, models, first, longest, residuals)
+        return _secants(data.residuals, data.believed, models, first, longest, residuals)
     sizes = [np.linalg.norm(one, axis=0) for one in last]
     fine = [
         np.minimum(most, FINE_SECANT / np.maximum(size, FINE_SECANT))
         for most, size in zip(longest, sizes, strict=True)
     ]
-    residuals, columns = _secants(data, models, first, fine, residuals)
+    residuals, columns = _secants(data.residuals, data.believed, models, first, fine, residuals)
     for k, (own, size) in enumerate(zip(columns, sizes, strict=True)):
         found = np.linalg.norm(own, axis=0)
         odd = (fine[k] < longest[k]) & ~((found < ALIKE * size) & (size < ALIKE * found))
         if odd.any():
             long = [np.where(odd, longest[k], 0.0)]
-            _, [again] = _secants(data, [models[k]], first, long, [residuals[k]])
+            _, [again] = _secants(
+                data.residuals, data.believed, [models[k]], first, long, [residuals[k]]
+            )
             own[:, odd] = again[:, odd]
     return residuals, columns
 
 
+def _longest(model: Hypothesis, first: int) -> Array:
+    """Lengths of the secants by the parameters from `first` on."""
+    return np.where(np.arange(first, len(model.x)) < len(model.base), KEY_SECANT, SECANT)
+
+
 def _secants(
-    data: Data,
+    residuals_of: Callable[[Array], Array],
+    believed: Array,
     models: Sequence[Hypothesis],
     first: int,
     lengths: Sequence[Array],
     residuals: Sequence[Array] | None,
 ) -> tuple[Sequence[Array], list[Array]]:
     """Residuals and secants (m, own) of models by their parameters from `first` on; 0 if of 0."""
-    points = [] if residuals is not None else [model.flat(data.believed) for model in models]
+    points = [] if residuals is not None else [model.flat(believed) for model in models]
     steps = []
     for k, model in enumerate(models):
         for i in np.flatnonzero(lengths[k]):
@@ -348,9 +432,9 @@ def _secants(
             step = float(lengths[k][i])
             step = step if moved[first + i] + step * p.scale <= p.high else -step
             moved[first + i] += step * p.scale
-            points.append(model.flat(data.believed, moved))
+            points.append(model.flat(believed, moved))
             steps.append((k, i, step))
-    found = data.residuals(np.stack(points)) if points else np.empty((0, 0))
+    found = residuals_of(np.stack(points)) if points else np.empty((0, 0))
     if residuals is None:
         residuals, found = found[: len(models)], found[len(models) :]
     columns = [np.zeros((len(r), len(s))) for r, s in zip(residuals, lengths, strict=True)]
@@ -572,9 +656,10 @@ def check_unseen(data: Data, without: Fit, fits: Sequence[Fit]) -> list[Check]:
     """
     if not fits:
         return []
-    sets = np.stack([fitted_without_each_unit(data, one) for one in (without, *fits)])
-    unseen = _bounded_squares(data, data.residuals_unseen(sets))
-    seen = _bounded_squares(data, np.stack([one.residual for one in (without, *fits)]))
+    models = [without, *fits]
+    sets = np.stack([fitted_without_each_unit(data, one) for one in models])
+    unseen = _bounded_squares(data, data.residuals_unseen(models, sets))
+    seen = _bounded_squares(data, np.stack([one.residual for one in models]))
     unsure_without = _unsure(data, without)
     return [
         Check(

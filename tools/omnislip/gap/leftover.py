@@ -27,7 +27,6 @@ from omnislip.gap.inference import (
 from omnislip.gap.machine import CURVE, Candidate, Machine
 from omnislip.gap.noise import track_all
 from omnislip.gap.recordings import Run
-from omnislip.gap.rows import whitened_response
 
 Array = npt.NDArray[np.float64]
 
@@ -149,7 +148,9 @@ def _order_shapes(order: int) -> dict[str, Callable[..., Array]]:
 
 def _passing(data: Data, fitted: Fit, terms: Sequence[Term]) -> list[Leftover]:
     values = fitted.hypothesis.flat(data.believed)
-    free = free_of_fitted(fitted, _responses(data, values, terms) / data.scale)
+    tracks = track_all(data.machine, data.runs, values, data.noise, keep_linear=True)
+    columns = data.responses(tracks, lambda _, run, state: _pushes(state, run, terms))
+    free = free_of_fitted(fitted, columns)
     found = []
     for index, term in enumerate(terms):
         column = free[:, index : index + 1]
@@ -181,17 +182,6 @@ def _passing(data: Data, fitted: Fit, terms: Sequence[Term]) -> list[Leftover]:
 
 def _covered_share(effect: Candidate) -> float:
     return CURVE_SHARE if effect.effect == CURVE else UNKNOWN_SHARE
-
-
-def _responses(data: Data, values: Array, terms: Sequence[Term]) -> Array:
-    """Whitened change of the innovations per unit of each term (kept rows * outputs, terms)."""
-    machine, found = data.machine, []
-    tracks = track_all(machine, data.runs, values, data.noise, keep_linear=True)
-    for run, track in zip(data.runs, tracks, strict=True):
-        state = track.state.reshape(len(run.t_s), -1)
-        response = whitened_response(machine, run, track, *_pushes(state, run, terms))
-        found.append(response[data.kept_rows(run)].reshape(-1, len(terms)))
-    return data.hidden.apply(np.concatenate(found).T).T
 
 
 def _pushes(state: Array, run: Run, terms: Sequence[Term]) -> tuple[Array, Array]:

@@ -687,7 +687,7 @@ def _clock_lines(findings: Findings) -> list[str]:
     ]
     offsets_s: dict[str, list[float]] = {}
     for name, runs in sorted(series.items()):
-        own = Data(machine, runs, outcome.data.noise, model.flat(machine.believed))
+        own = Data(machine, runs, outcome.data.noise, model)
         before = fit(own, model)
         cells = []
         for clock in clocks:

@@ -250,10 +250,8 @@ class Expected(Data):
     _own: Array | float = 0.0
 
     def __init__(self, machine: Machine, run: Run, noise: Noise, truth: Hypothesis) -> None:
-        values = truth.flat(machine.believed)
-        super().__init__(machine, [run], noise, values)
-        self.scale = 1.0
-        self._own = super().residuals(values[None])[0]
+        super().__init__(machine, [run], noise, truth, scale=1.0)
+        self._own = super().residuals(truth.flat(machine.believed)[None])[0]
 
     def residuals(self, sets: Array) -> Array:
         """Return residuals (sets, m) less the truth's."""

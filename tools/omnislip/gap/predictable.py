@@ -33,10 +33,10 @@ from sklearn.ensemble import HistGradientBoostingRegressor
 from threadpoolctl import threadpool_limits
 
 from omnislip import _core
+from omnislip.gap.answers import CHANCE_S, foreseen, news_of
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import Noise, track_all
 from omnislip.gap.recordings import Run
-from omnislip.gap.rows import CHANCE_S, foreseen, news_of
 
 Array = npt.NDArray[np.float64]
 

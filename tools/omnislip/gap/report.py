@@ -16,7 +16,7 @@ import matplotlib as mpl
 import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from omnislip.gap import find, inference, leftover, metrics, report_pictures, rows, search
+from omnislip.gap import answers, find, inference, leftover, metrics, report_pictures, search
 from omnislip.gap.find import Findings, to_json
 from omnislip.gap.machine import Candidate, Machine
 from omnislip.gap.metrics import Replays
@@ -415,10 +415,9 @@ def _thresholds() -> list[tuple[str, str]]:
             "least gain / inflation of such a term",
         ),
         (
-            f"{rows.FEIGNED_GAIN:g}",
-            "least gain / inflation of anything where a controller answers within rows "
-            f"({rows.UNSEEN:g} times as much without a camera, and {rows.UNDRIVEN:g} times that "
-            "where a direction is not driven)",
+            f"{answers.FEIGNED_GAIN:g}",
+            "least gain / inflation of anything where a controller answers disturbances "
+            f"({answers.UNDRIVEN:g} times as much where a direction is not driven)",
         ),
         (
             f"{100 * find.VARIES:.0f} %",

@@ -285,7 +285,7 @@ def settle(
     for _ in range(tunings):
         values = hypothesis.flat(machine.believed)
         noise = tune_noise(machine, runs, values, noise, paths=1)
-        data = Data(machine, runs, noise, values)
+        data = Data(machine, runs, noise, hypothesis)
         fitted = fit(data, hypothesis)
         moved = (fitted.hypothesis.x - hypothesis.x) / scale
         hypothesis = fitted.hypothesis

@@ -24,7 +24,6 @@ from omnislip.gap.inference import Data, Fit, check_columns, free_of_fitted, inf
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import track_all
 from omnislip.gap.recordings import Run
-from omnislip.gap.rows import whitened_response
 from omnislip.gap.search import Outcome
 
 Array = npt.NDArray[np.float64]
@@ -208,13 +207,10 @@ class _Study:
 
     def _columns(self, equation: Equation, quantity: Quantity, knots: Array) -> Array:
         """Whitened change of the innovations by a unit at each knot (m, knots)."""
-        data, found = self._data, []
-        phases_rad = (
-            np.zeros(len(data.runs)) if quantity.phases_rad is None else quantity.phases_rad
-        )
-        for (run, state), track, phase_rad in zip(
-            self._states(), self._tracks, phases_rad, strict=True
-        ):
+        phases_rad = quantity.phases_rad
+
+        def pushes(number: int, run: Run, state: Array) -> tuple[Array, Array]:
+            phase_rad = 0.0 if phases_rad is None else phases_rad[number]
             hats = _hats(quantity, knots, run, state, equation.motor, phase_rad)
             push = np.zeros((*state.shape, hats.shape[1]))
             shown = np.zeros((*run.outputs.shape, hats.shape[1]))
@@ -223,9 +219,9 @@ class _Study:
             for index in equation.outputs:
                 shown[:, index] = hats
             shown[np.isnan(run.outputs)] = 0.0
-            response = whitened_response(data.machine, run, track, push, shown)
-            found.append(response[data.kept_rows(run)].reshape(-1, hats.shape[1]))
-        return data.hidden.apply(np.concatenate(found).T).T / data.scale
+            return push, shown
+
+        return self._data.responses(self._tracks, pushes)
 
     def _waves(self, members: Sequence[Equation]) -> list[Quantity]:
         """Regular beats in the disturbances that the filter saw in these equations."""

@@ -1,0 +1,262 @@
+"""What a controller answers: how much of a model's change could be foreseen.
+
+In closed loop the command of a row goes along with what disturbed the wheels in it and just before.
+A change of the model moves the residuals by c, and c holds those answers: it is correlated with the
+residuals r beside the true model, too. Least squares then draw keys (where a robot is driven in few
+directions by one or two of their tolerances) and feign lags and friction, unless the model of the
+disturbances is exact (Forssell and Ljung, Closed-loop identification revisited, Automatica 1999).
+
+Instruments mend that. Let c~ be the same change by commands without their news: less what their
+prediction from the rows before leaves (linear, from commands and innovations of all wheels in PAST
+rows; clipped, for a step of the programme answers nothing). A row of c~ depends on what was logged
+before it only, so c~'r is chance, and in logs of closed loops it holds 95 % and more of what is
+known. With J~ such derivatives by the parameters of a model, P the projection on their span, and
+u = (1 - P) c~, two-stage least squares take for the change
+
+    c^ = P c + u u'c / u'u
+
+what of c goes with something that could be foreseen. Residuals are r + c^ with r those of the
+model, so that squares, secants and tests are those of any other fit. (Soederstrom and Stoica,
+Instrumental variable methods for system identification, 1983; Wooldridge, Econometric analysis of
+cross section and panel data, chapter 5.)
+
+How a command moves within a row (rows.py) is no chance either, and what nobody foresaw of it goes
+on for some rows. It is taken out of r: w, what is changed by commands that rise at the rate of
+their means, times how far they do, by the same instruments -w~'r / w~'w, between 0 and 1.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import orth
+
+from omnislip import _core
+from omnislip.gap.machine import Machine
+from omnislip.gap.recordings import Run
+
+Array = npt.NDArray[np.float64]
+
+FOLLOWS = 0.002
+"""Share of what is new in a command that innovations must explain for a closed loop, in rows where
+the command hardly changes: elsewhere a model that is a little off gives as much in open loop."""
+FEIGNED_GAIN = 40.0
+"""Gain up to which answers feign effects in spite of the instruments: twice what anything promised
+in logs of closed loops in which nothing was missing (20). In open loop no answer is seen beside a
+model that is right."""
+UNDRIVEN = 2.5
+"""Times as much where a direction is not driven: there the robot moves by nothing but disturbances
+and the answers to them, and instruments hold little of what is known."""
+DRIVEN = 0.02
+"""Of the speed of the strongest direction: 0.002 where a robot goes to and fro, 0.05 and more where
+it turns, too."""
+BEYOND_CHANCE = 4.0
+"""Times what chance explains of so many rows (F of SHORT_PAST and very many: once in 1000)."""
+ROUNDING = 1e-6
+"""Of a command's size: less is nothing new (a timer has steps of 1e-3, a log six digits)."""
+CALM = 1.0
+"""Changes of a command in such rows, in their deviations."""
+SHORT_PAST, PAST = 6, 12
+"""Rows from which a command is predicted, by those of one wheel and of all."""
+CLIP = 3.0
+UNUSUAL, ROBUST_ROUNDS = 4.0, 4
+"""Standard deviations beyond which news are no answer but the programme's; rounds to find them."""
+CHANCE_S = 0.03
+"""Disturbances fade at 40 per second or faster (noise.py)."""
+CREEP_RAD_S = 2.0
+"""Speed of a shaft below which the sign of its friction is smooth (sim/robot_plant.h)."""
+NOTHING = 1e-12
+"""Share of the square of a change that rounding leaves of what lies in the span."""
+
+
+@dataclass(frozen=True)
+class News:
+    """What is new in the commands (rows, 4) of each run; share of it that innovations explain."""
+
+    new: list[Array]
+    share: float
+    driven: bool
+    """Whether the robot is driven in all directions."""
+
+    @property
+    def answers(self) -> bool:
+        """Whether commands answer what disturbs the wheels: whether a loop is closed."""
+        return self.share > FOLLOWS
+
+    @property
+    def feigned_gain(self) -> float:
+        """Gain beyond chance that a controller's answers feign where nothing is missing."""
+        if not self.answers:
+            return 0.0
+        return FEIGNED_GAIN if self.driven else UNDRIVEN * FEIGNED_GAIN
+
+
+class Foreseen:
+    """What of the change of residuals could be foreseen: the residuals of a model and others near.
+
+    From the residuals (m,) of the model by the logged commands and by those without news, the
+    derivatives (m, n) of the latter by its parameters, and what both commands change of innovations
+    (m,) where they rise within rows.
+    """
+
+    def __init__(
+        self,
+        found: Array,
+        newsless: Array,
+        derivatives: Array,
+        rise: Array,
+        newsless_rise: Array,
+    ) -> None:
+        self._found, self._newsless = found, newsless
+        sizes = np.linalg.norm(derivatives, axis=0)
+        self._axes = orth(derivatives[:, sizes > 0] / sizes[sizes > 0])
+        free = newsless_rise - self._axes @ (self._axes.T @ newsless_rise)
+        common = float(free @ rise)
+        self.rise_share = float(np.clip(-free @ found / common, 0.0, 1.0)) if common else 0.0
+        """How far commands rise within rows: 0 if held, 1 at the rate of their means."""
+        self._residual = found + self.rise_share * rise
+
+    def residuals(self, found: Array, newsless: Array) -> Array:
+        """Return r + c^ of models (models, m) from their residuals by both commands."""
+        return self._residual + self.part(found - self._found, newsless - self._newsless)
+
+    def part(self, change: Array, newsless: Array) -> Array:
+        """Return c^ (n, m) of changes c by the logged commands and c~ by those without news."""
+        own = newsless - (newsless @ self._axes) @ self._axes.T
+        square, whole, common = (
+            np.einsum("ij,ij->i", a, b)
+            for a, b in ((own, own), (newsless, newsless), (own, change))
+        )
+        share = common / np.where(square > NOTHING * whole, square, np.inf)
+        return (change @ self._axes) @ self._axes.T + share[:, None] * own
+
+
+def foreseen(run: Run, track: _core.Track) -> Array:
+    """States (rows, states) without what was corrected in the last `CHANCE_S`."""
+    rows = len(run.t_s)
+    gain, transition = track.gain.reshape(rows, -1, run.outputs.shape[1]), track.transition
+    transition = transition.reshape(rows, gain.shape[1], -1)
+    innovation = np.nan_to_num(track.innovation.reshape(rows, -1))
+    corrected = np.einsum("kij,kj->ki", gain, innovation)
+    states = track.state.reshape(rows, -1) - corrected
+    for _ in range(round(CHANCE_S / float(np.median(np.diff(run.t_s))))):
+        corrected[1:] = np.einsum("kij,kj->ki", transition[:-1], corrected[:-1])
+        corrected[0] = 0.0
+        states -= corrected
+    return states
+
+
+def news_of(machine: Machine, runs: Sequence[Run], tracks: Sequence[_core.Track]) -> News:
+    """Return what is new in the commands beside what the wheel's last commands lead to (linearly).
+
+    Innovations beside a wrong model tell how the robot moves, and where commands follow a programme
+    that tells how they go on. So what they explain has to be more than the motion foreseen explains
+    as well: an answer is one to what was not. `tracks` keep their matrices. Nothing of machines
+    other than robots.
+    """
+    if machine.kind != "robot":
+        return nothing_new(runs)
+    past, now, moving = [], [], []
+    for run, track in zip(runs, tracks, strict=True):
+        innovation = np.nan_to_num(track.innovation.reshape(len(run.t_s), -1)[:, :4])
+        command = run.command
+        last = len(command) - SHORT_PAST
+        rows = [command[SHORT_PAST - 1 - j : SHORT_PAST - 1 - j + last] for j in range(SHORT_PAST)]
+        rows += [innovation[SHORT_PAST - j : SHORT_PAST - j + last] for j in range(SHORT_PAST)]
+        past.append(np.stack([r.ravel() for r in rows], axis=1))
+        now.append(command[SHORT_PAST:].ravel())
+        moving.append(_motion(foreseen(run, track)[SHORT_PAST:]))
+    x, y, motion = (np.concatenate(each) for each in (past, now, moving))
+    steps = np.abs(y - x[:, 0]) / max(_spread(y - x[:, 0]), 1e-9)
+    calm = steps <= CALM
+    commanded = x[calm, :SHORT_PAST]
+    limit = CLIP * _spread(x[calm, SHORT_PAST:])
+    innovations = np.clip(x[calm, SHORT_PAST:], -limit, limit)
+    share = min(
+        _share_explained(known, innovations, y[calm])
+        for known in (commanded, np.hstack([commanded, motion[calm]]))
+    )
+    if share < BEYOND_CHANCE * SHORT_PAST / np.count_nonzero(calm):
+        share = 0.0
+    new = _new(runs, tracks) if share > FOLLOWS else nothing_new(runs).new
+    return News(new, float(share), _driven(machine, tracks))
+
+
+def nothing_new(runs: Sequence[Run]) -> News:
+    """Return that of commands that answer nothing."""
+    return News([np.zeros_like(run.command) for run in runs], 0.0, True)
+
+
+def _new(runs: Sequence[Run], tracks: Sequence[_core.Track]) -> list[Array]:
+    """News of the commands (rows, 4) of each run: what nobody could foresee `CHANCE_S` before.
+
+    Prediction by robust least squares. News are clipped: a step of the programme is no answer.
+    """
+    lead = max(1, round(CHANCE_S / float(np.median(np.diff(runs[0].t_s)))))
+    pasts = [_past(run, track, lead) for run, track in zip(runs, tracks, strict=True)]
+    x = np.concatenate(pasts)
+    x /= np.maximum(x.std(axis=0), 1e-12)
+    y = np.concatenate([run.command[PAST + lead - 1 :] for run in runs])
+    usual = np.full(len(y), True)
+    for _ in range(ROBUST_ROUNDS):
+        left = y - x @ np.linalg.lstsq(x[usual], y[usual], rcond=None)[0]
+        limit = UNUSUAL * np.median(np.abs(left), axis=0) / 0.6745
+        usual = np.all(np.abs(left) <= limit, axis=1)
+    new = np.clip(left, -limit, limit)
+    parts = np.split(new, np.cumsum([len(past) for past in pasts])[:-1])
+    return [np.vstack([np.zeros((PAST + lead - 1, 4)), part]) for part in parts]
+
+
+def _past(run: Run, track: _core.Track, lead: int) -> Array:
+    """Commands and innovations of all wheels up to `lead` rows before (rows, 8 * PAST)."""
+    rows = len(run.t_s) - PAST - lead + 1
+    innovation = np.nan_to_num(track.innovation.reshape(len(run.t_s), -1)[:, :4])
+    return np.hstack(
+        [run.command[j : j + rows] for j in range(PAST)]
+        + [innovation[j + 1 : j + 1 + rows] for j in range(PAST)]
+    )
+
+
+def _driven(machine: Machine, tracks: Sequence[_core.Track]) -> bool:
+    """Whether the robot moves in every direction of (x, y, a wheel's way round)."""
+    states = [track.state.reshape(-1, machine.engine.filter_states) for track in tracks]
+    speed = np.concatenate(states)[:, 8:11]
+    speed = speed * [1.0, 1.0, machine.model.values["robot.wheel_distance_m"]]
+    least, *_, most = np.linalg.eigvalsh(speed.T @ speed)
+    return bool(least >= DRIVEN**2 * most)
+
+
+def _motion(states: Array) -> Array:
+    """How the robot moves (rows * 4, 12): speeds and their signs, from each wheel's view."""
+    speed, body = states[:, :4], states[:, 8:11]
+    from_wheels = [
+        np.hstack([np.roll(speed, -k, axis=1), np.tanh(np.roll(speed, -k, axis=1) / CREEP_RAD_S)])
+        for k in range(4)
+    ]
+    seen = np.stack([np.hstack([one, body, np.ones((len(body), 1))]) for one in from_wheels], 1)
+    return seen.reshape(-1, seen.shape[2])
+
+
+def _share_explained(known: Array, told: Array, target: Array) -> float:
+    """Share of what `known` leaves of the target (rows,) that `told` (rows, n) explains.
+
+    0 where it leaves nothing but rounding, as of a command that is held.
+    """
+    known = known / np.maximum(np.sqrt(np.mean(known**2, axis=0)), 1e-12)
+    rest, _ = _rest(known, np.hstack([told, target[:, None]]))
+    left = rest.T @ rest
+    told_left, slope = left[:-1, :-1], left[:-1, -1]
+    if left[-1, -1] <= ROUNDING**2 * (target @ target):
+        return 0.0
+    return float(slope @ np.linalg.pinv(told_left, hermitian=True) @ slope / left[-1, -1])
+
+
+def _rest(x: Array, y: Array) -> tuple[Array, Array]:
+    weights = np.linalg.lstsq(x, y, rcond=None)[0]
+    return y - x @ weights, weights
+
+
+def _spread(values: Array) -> float:
+    """Robust standard deviation around zero."""
+    return float(np.median(np.abs(values))) / 0.6745
