@@ -100,6 +100,23 @@ def test_news_are_what_was_added_to_commands_that_go_on():
         assert np.abs(new).max() < 10e-3
 
 
+def test_a_piece_too_short_to_foresee_anything_holds_no_news():
+    machine, runs, noise = runs_and_noise(seed=5, runs=2, run_duration_s=2.0)
+    tracks = track_all(machine, runs, machine.believed, noise, keep_linear=True)
+    short = replace(runs[1], **{n: getattr(runs[1], n)[:9] for n in ("t_s", "command", "outputs")})
+    short = replace(
+        short,
+        recording=machine.engine.recording(
+            short.t_s, short.command, short.outputs, np.zeros(machine.engine.states)
+        ),
+    )
+    tracks = track_all(machine, [runs[0], short], machine.believed, noise, keep_linear=True)
+    first, second = answers._new([runs[0], short], tracks)
+    assert np.any(first)
+    assert second.shape == short.command.shape
+    assert not np.any(second)
+
+
 # ---- what could be foreseen of a change ----
 
 
