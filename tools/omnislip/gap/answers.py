@@ -74,7 +74,8 @@ NOTHING = 1e-12
 
 @dataclass(frozen=True)
 class News:
-    """What is new in the commands (rows, 4) of each run; share of it that innovations explain."""
+    """What is new in the commands (rows, 4) of each run, nothing in open loop; share of what is new
+    from row to row that innovations explain."""
 
     new: list[Array]
     share: float
@@ -158,7 +159,7 @@ def news_of(machine: Machine, runs: Sequence[Run], tracks: Sequence[_core.Track]
     other than robots.
     """
     if machine.kind != "robot":
-        return nothing_new(runs)
+        return News([], 0.0, True)
     past, now, moving = [], [], []
     for run, track in zip(runs, tracks, strict=True):
         innovation = np.nan_to_num(track.innovation.reshape(len(run.t_s), -1)[:, :4])
@@ -181,13 +182,8 @@ def news_of(machine: Machine, runs: Sequence[Run], tracks: Sequence[_core.Track]
     )
     if share < BEYOND_CHANCE * SHORT_PAST / np.count_nonzero(calm):
         share = 0.0
-    new = _new(runs, tracks) if share > FOLLOWS else nothing_new(runs).new
+    new = _new(runs, tracks) if share > FOLLOWS else []
     return News(new, float(share), _driven(machine, tracks))
-
-
-def nothing_new(runs: Sequence[Run]) -> News:
-    """Return that of commands that answer nothing."""
-    return News([np.zeros_like(run.command) for run in runs], 0.0, True)
 
 
 def _new(runs: Sequence[Run], tracks: Sequence[_core.Track]) -> list[Array]:

@@ -226,11 +226,10 @@ class Data:
         news = news_of(machine, runs, self.tracks)
         self.feigned_gain = news.feigned_gain
         """Gain beyond chance below which an effect may be a controller's answer."""
-        self._newsless = [
-            replace(run, command=command, recording=run.recording.commanded(command))
-            for run, new in zip(runs, news.new, strict=True)
-            for command in [run.command - new]
-        ]
+        self._newsless = self.runs
+        if news.answers:
+            pairs = zip(runs, news.new, strict=True)
+            self._newsless = [run.commanded(run.command - new) for run, new in pairs]
         columns = np.zeros((sum(len(run.t_s) for run in runs) * machine.engine.outputs, 0))
         if machine.kind == "robot":
             columns = hidden_columns(machine, self._newsless, self.tracks, values)

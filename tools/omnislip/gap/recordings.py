@@ -1,7 +1,7 @@
 """Logs as the replay engine takes them: SI units, wraps removed, a first guess of the state."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -61,6 +61,10 @@ class Run:
     def duration_s(self) -> float:
         """Time from the first row to the last."""
         return float(self.t_s[-1] - self.t_s[0])
+
+    def commanded(self, command: Array) -> "Run":
+        """Return the run as if this had been its command (rows, motors)."""
+        return replace(self, command=command, recording=self.recording.commanded(command))
 
 
 def make_run(machine: Machine, log: Log, begin: int = 0, end: int | None = None) -> Run:
