@@ -200,6 +200,9 @@ class Data:
     their change from there (answers.py). What rows hide is taken out of them (rows.py).
     """
 
+    _tells_rises = True
+    """Whether logs of a closed loop tell how far commands rise within rows."""
+
     def __init__(
         self,
         machine: Machine,
@@ -243,6 +246,7 @@ class Data:
                 self._innovations_newsless, self.believed, [model], 0, lengths, None
             )
             self._foreseen = Foreseen(found, newsless, derivatives, rises, hidden[:, 0])
+            hidden = hidden[:, 1:] if self._tells_rises else hidden
         self._hidden = Projection(hidden)
         [residual] = self.residuals(values[None])
         square = float(np.sum(residual**2)) / max(np.count_nonzero(residual), 1)

@@ -247,6 +247,7 @@ class Expected(Data):
     The truth's own are not quite 0: rows hold mean duties and counts are whole.
     """
 
+    _tells_rises = False  # that of a robot without noise is no promise
     _own: Array | float = 0.0
 
     def __init__(self, machine: Machine, run: Run, noise: Noise, truth: Hypothesis) -> None:

@@ -16,8 +16,8 @@ measured; it is a column by which the innovations may be off, its size free with
 Integrating the sizes out of the likelihood (covariance I + N N' in place of I) is a projection of
 the whitened innovations: with N = U S V', r becomes r - U (1 - 1 / sqrt(1 + S^2)) U' r.
 
-In closed loop the columns are those of commands without their news, for in a row that answers the
-one before chance would pass for a rise; the rest of what rises is taken out at once (answers.py).
+In closed loop how far commands rise is found and taken out at once (answers.py), and the second
+column is that of commands without their news: a row also answers the one before.
 """
 
 from collections.abc import Sequence
