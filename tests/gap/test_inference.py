@@ -23,6 +23,7 @@ from hypothesis import assume, given
 from hypothesis.extra.numpy import arrays
 from hypothesis.strategies import floats
 from omnislip.gap.inference import (
+    DIVERGED,
     LEAST_STAKE,
     Check,
     Data,
@@ -135,6 +136,18 @@ def test_innovations_of_the_true_model_are_white_with_unit_variance(exact):
     assert data.scale == pytest.approx(1.0, abs=5 * sigma)
     for lag in (1, 2, 5, 20):
         assert abs(np.mean(residual[lag:] * residual[:-lag])) < 5 * sigma
+
+
+def test_what_is_far_off_is_bounded_in_deviations_of_these_residuals(exact):
+    """Not in those of the noise: a first guess may be a thousand times too small."""
+    true = true_noise()
+    noise = replace(true, process=1e-8 * true.process, output=1e-8 * true.output)
+    data = Data(exact, make_runs(exact, Bench(), range(1)), noise, without_effects(exact))
+    assert data.scale > 100.0
+    drag = candidate(exact, "viscous_friction_error")
+    dragged = without_effects(exact).with_effect(drag, [1e3]).flat(exact.believed)
+    far = np.abs(data.residuals(dragged[None])).max()
+    assert 1.1 * DIVERGED / data.scale < far <= DIVERGED
 
 
 def test_track_of_the_true_model_is_the_most_likely(exact):

@@ -331,9 +331,10 @@ class Data:
                 for run, array in zip(runs, arrays, strict=True):
                     own = array[:, int(np.argmax(self._kept[run])) :].reshape(len(batch), -1)
                     residuals[first : first + len(batch), edges[run] : edges[run + 1]] = own
-        if not max(residuals.max(), -residuals.min()) < DIVERGED:  # not so with NaN either
-            np.nan_to_num(residuals, copy=False, nan=DIVERGED)
-            np.clip(residuals, -DIVERGED, DIVERGED, out=residuals)
+        most = DIVERGED * self.scale
+        if not max(residuals.max(), -residuals.min()) < most:  # not so with NaN either
+            np.nan_to_num(residuals, copy=False, nan=most)
+            np.clip(residuals, -most, most, out=residuals)
         return residuals
 
     def _kept_only(self, columns: Array) -> Array:
