@@ -67,7 +67,7 @@ def test_a_model_that_diverges_is_as_far_off_as_can_be(heavy):
 
 def test_terms_of_accelerations_are_those_of_forces(heavy):
     machine, split, refit, noise = heavy
-    data = Accelerations(machine, split.fitting, noise, refit.flat(machine.believed))
+    data = Accelerations(machine, split.fitting, noise, refit)
     library = Library(data, fit(data, refit, iterations=0))
     np.testing.assert_allclose(np.mean(library.columns**2, axis=0), 1.0)
     named = {library.effects[k].candidate.name for k in library.owner}

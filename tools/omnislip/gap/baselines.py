@@ -101,8 +101,8 @@ def ask_baselines(
     data = Data(machine, runs, noise, refit)
     return {
         "base refit": _free_refit(data),
-        "BIC": _lowest_criterion(OpenLoop(machine, runs, noise, values), refit),
-        "SINDy": _sparse(Accelerations(machine, runs, noise, values), data, refit),
+        "BIC": _lowest_criterion(OpenLoop(machine, runs, noise, refit), refit),
+        "SINDy": _sparse(Accelerations(machine, runs, noise, refit), data, refit),
         "ridge": _ridge(data, refit),
     }
 
@@ -153,9 +153,11 @@ class Accelerations(Data):
     first outputs; the others are 0.
     """
 
-    def __init__(self, machine: Machine, runs: Sequence[Run], noise: Noise, values: Array) -> None:
-        self._refit = values
-        super().__init__(machine, runs, noise, values)
+    def __init__(
+        self, machine: Machine, runs: Sequence[Run], noise: Noise, refit: Hypothesis
+    ) -> None:
+        self._refit = refit.flat(machine.believed)
+        super().__init__(machine, runs, noise, refit)
 
     def kept_rows(self, run: Run) -> npt.NDArray[np.bool_]:
         """Rows that end a span."""

@@ -236,22 +236,32 @@ class Data:
         columns = np.zeros((sum(len(run.t_s) for run in runs) * machine.engine.outputs, 0))
         if machine.kind == "robot":
             columns = hidden_columns(machine, self._newsless, self.tracks, values)
-        hidden = self._kept_only(columns)
-        self._foreseen: Foreseen | None = None
-        if news.answers:
-            rises = self._kept_only(hidden_columns(machine, runs, self.tracks, values))[:, 0]
-            [found] = self._innovations(self.recordings, values[None])
-            lengths = [_longest(model, 0)]
-            [newsless], [derivatives] = _secants(
-                self._innovations_newsless, self.believed, [model], 0, lengths, None
-            )
-            self._foreseen = Foreseen(found, newsless, derivatives, rises, hidden[:, 0])
-            hidden = hidden[:, 1:] if self._tells_rises else hidden
-        self._hidden = Projection(hidden)
+        self._model, self._answers = model, news.answers
+        self._rises = self._kept_only(columns)
+        told = 1 if news.answers and self._tells_rises else 0
+        self._hidden = Projection(self._rises[:, told:])
         [residual] = self.residuals(values[None])
         square = float(np.sum(residual**2)) / max(np.count_nonzero(residual), 1)
         self.scale = square**0.5 if scale is None else scale
         """Standard deviation of the innovations in units of what the noise says."""
+
+    @cached_property
+    def _foreseen(self) -> Foreseen | None:
+        """What could be foreseen in a closed loop; nothing in an open one."""
+        if not self._answers:
+            return None
+        values = self._model.flat(self.believed)
+        rises = self._kept_only(hidden_columns(self.machine, self.runs, self.tracks, values))
+        [found] = self._innovations(self.recordings, values[None])
+        [newsless], [derivatives] = _secants(
+            self._innovations_newsless,
+            self.believed,
+            [self._model],
+            0,
+            [_longest(self._model, 0)],
+            None,
+        )
+        return Foreseen(found, newsless, derivatives, rises[:, 0], self._rises[:, 0])
 
     def residuals(self, sets: Array) -> Array:
         """Return whitened residuals (sets, m) of flat parameter sets (sets, parameters)."""
@@ -338,9 +348,9 @@ class Data:
         return residuals
 
     def _kept_only(self, columns: Array) -> Array:
-        """Rows that count of columns over all rows (all rows * outputs, n)."""
-        kept = np.repeat(np.concatenate(self._kept), self.machine.engine.outputs)
-        return columns[kept]
+        """Rows that count of columns over all rows (all rows * outputs, n); 0 where these diverge."""
+        kept = columns[np.repeat(np.concatenate(self._kept), self.machine.engine.outputs)]
+        return np.where(np.abs(kept) < DIVERGED, kept, 0.0)
 
     def per_run(self, residual: Array) -> list[Array]:
         """Split one residual (m,) into runs."""
