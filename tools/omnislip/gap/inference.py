@@ -348,7 +348,7 @@ class Data:
         return residuals
 
     def _kept_only(self, columns: Array) -> Array:
-        """Rows that count of columns over all rows (all rows * outputs, n); 0 where these diverge."""
+        """Rows that count of columns (all rows * outputs, n); 0 where these diverge."""
         kept = columns[np.repeat(np.concatenate(self._kept), self.machine.engine.outputs)]
         return np.where(np.abs(kept) < DIVERGED, kept, 0.0)
 
