@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from omnislip.gap import inference
-from omnislip.gap.inference import Data, fit
+from omnislip.gap.inference import Data
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import CURRENT, STEP_S, track_all, track_recordings, tune_noise
 from omnislip.gap.rows import (
@@ -14,14 +14,13 @@ from omnislip.gap.rows import (
     rise_of,
     whitened_response,
 )
-from omnislip.gap.search import believed_hypothesis, screen
+from omnislip.gap.search import believed_hypothesis
 from omnislip.gap.truth import TruthCase
 from omnislip.model_file import NOMINAL_ROBOT, read_model
 from scipy.stats import chi2
-from truth_bench import runs_of
+from truth_bench import promises, runs_of
 
 MODEL = read_model(NOMINAL_ROBOT)
-LAGS = ("actuation_delay", "driver_lag", "armature_inductance")
 SETTLING = ("shaft_compliance", "bristle_relaxation")
 CHANCE = chi2.isf(0.01, 1)
 
@@ -189,13 +188,6 @@ def test_a_straight_command_rises_by_its_rate_times_the_row(electric, from_befor
     expected = np.outer(np.diff(run.t_s), [1.0, -2.0, 0.5, 0.0])
     np.testing.assert_allclose(rise[1:-1], expected[1:], atol=1e-12)
     assert not rise[-1].any()
-
-
-def promises(data, names=LAGS):
-    """Gain that each effect promises beside the fitted keys."""
-    base = fit(data, believed_hypothesis(data.machine), iterations=4)
-    asked = [c for c in data.machine.candidates() if c.effect in names]
-    return {s.candidate.effect: s.promise for s in screen(data, base, asked)}
 
 
 def no_columns(machine, runs, tracks, values):

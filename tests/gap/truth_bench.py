@@ -1,9 +1,13 @@
 """Logs of the independent generator in memory, for tests that need no folder."""
 
+from omnislip.gap.inference import Data, fit
 from omnislip.gap.machine import Machine
 from omnislip.gap.recordings import Run, make_run
+from omnislip.gap.search import believed_hypothesis, screen
 from omnislip.gap.truth import TruthCase, generate
 from omnislip.log_file import Log
+
+LAGS = ("actuation_delay", "driver_lag", "armature_inductance")
 
 
 def runs_of(machine: Machine, case: TruthCase) -> list[Run]:
@@ -16,3 +20,10 @@ def runs_of(machine: Machine, case: TruthCase) -> list[Run]:
         )
         for name, log in zip(case.run_names(), logs, strict=True)
     ]
+
+
+def promises(data: Data, names: tuple[str, ...] = LAGS) -> dict[str, float]:
+    """Gain that each effect promises beside the fitted keys."""
+    base = fit(data, believed_hypothesis(data.machine), iterations=4)
+    asked = [c for c in data.machine.candidates() if c.effect in names]
+    return {s.candidate.effect: s.promise for s in screen(data, base, asked)}

@@ -85,7 +85,7 @@ class News:
     @property
     def answers(self) -> bool:
         """Whether commands answer what disturbs the wheels: whether a loop is closed."""
-        return self.share > FOLLOWS
+        return bool(self.new)
 
     @property
     def feigned_gain(self) -> float:
@@ -143,7 +143,7 @@ def foreseen(run: Run, track: _core.Track) -> Array:
     innovation = np.nan_to_num(track.innovation.reshape(rows, -1))
     corrected = np.einsum("kij,kj->ki", gain, innovation)
     states = track.state.reshape(rows, -1) - corrected
-    for _ in range(round(CHANCE_S / float(np.median(np.diff(run.t_s))))):
+    for _ in range(round(CHANCE_S / run.row_s)):
         corrected[1:] = np.einsum("kij,kj->ki", transition[:-1], corrected[:-1])
         corrected[0] = 0.0
         states -= corrected
@@ -160,22 +160,19 @@ def news_of(machine: Machine, runs: Sequence[Run], tracks: Sequence[_core.Track]
     """
     if machine.kind != "robot":
         return News([], 0.0, True)
-    past, now, moving = [], [], []
+    commanded, told, now, motion = [], [], [], []
     for run, track in zip(runs, tracks, strict=True):
-        innovation = np.nan_to_num(track.innovation.reshape(len(run.t_s), -1)[:, :4])
-        command = run.command
-        last = len(command) - SHORT_PAST
-        rows = [command[SHORT_PAST - 1 - j : SHORT_PAST - 1 - j + last] for j in range(SHORT_PAST)]
-        rows += [innovation[SHORT_PAST - j : SHORT_PAST - j + last] for j in range(SHORT_PAST)]
-        past.append(np.stack([r.ravel() for r in rows], axis=1))
-        now.append(command[SHORT_PAST:].ravel())
-        moving.append(_motion(foreseen(run, track)[SHORT_PAST:]))
-    x, y, motion = (np.concatenate(each) for each in (past, now, moving))
+        commands, innovations = _past(run, track, SHORT_PAST, 1)
+        commanded.append(commands.reshape(SHORT_PAST, -1).T)
+        told.append(innovations.reshape(SHORT_PAST, -1).T)
+        now.append(run.command[SHORT_PAST:].ravel())
+        motion.append(_motion(foreseen(run, track)[SHORT_PAST:]))
+    x, told, y, motion = (np.concatenate(each) for each in (commanded, told, now, motion))
     steps = np.abs(y - x[:, 0]) / max(_spread(y - x[:, 0]), 1e-9)
     calm = steps <= CALM
-    commanded = x[calm, :SHORT_PAST]
-    limit = CLIP * _spread(x[calm, SHORT_PAST:])
-    innovations = np.clip(x[calm, SHORT_PAST:], -limit, limit)
+    commanded = x[calm]
+    limit = CLIP * _spread(told[calm])
+    innovations = np.clip(told[calm], -limit, limit)
     share = min(
         _share_explained(known, innovations, y[calm])
         for known in (commanded, np.hstack([commanded, motion[calm]]))
@@ -191,9 +188,9 @@ def _new(runs: Sequence[Run], tracks: Sequence[_core.Track]) -> list[Array]:
 
     Prediction by robust least squares. News are clipped: a step of the programme is no answer.
     """
-    lead = max(1, round(CHANCE_S / float(np.median(np.diff(runs[0].t_s)))))
-    pasts = [_past(run, track, lead) for run, track in zip(runs, tracks, strict=True)]
-    x = np.concatenate(pasts)
+    lead = max(1, round(CHANCE_S / runs[0].row_s))
+    pasts = [_past(run, track, PAST, lead) for run, track in zip(runs, tracks, strict=True)]
+    x = np.concatenate([np.hstack([*commands, *innovations]) for commands, innovations in pasts])
     x /= np.maximum(x.std(axis=0), 1e-12)
     y = np.concatenate([run.command[PAST + lead - 1 :] for run in runs])
     usual = np.full(len(y), True)
@@ -203,19 +200,24 @@ def _new(runs: Sequence[Run], tracks: Sequence[_core.Track]) -> list[Array]:
         usual = np.all(np.abs(left) <= limit, axis=1)
     new = np.clip(left, -limit, limit)
     found = [np.zeros_like(run.command) for run in runs]
-    parts = np.split(new, np.cumsum([len(past) for past in pasts])[:-1])
+    parts = np.split(new, np.cumsum([commands.shape[1] for commands, _ in pasts])[:-1])
     for own, part in zip(found, parts, strict=True):
         own[len(own) - len(part) :] = part
     return found
 
 
-def _past(run: Run, track: _core.Track, lead: int) -> Array:
-    """Commands and innovations of all wheels up to `lead` rows before (rows, 8 * PAST)."""
-    rows = max(len(run.t_s) - PAST - lead + 1, 0)
+def _past(run: Run, track: _core.Track, past: int, lead: int) -> tuple[Array, Array]:
+    """Commands and innovations of all wheels (past, rows, 4), the latest first.
+
+    Those of command k, from row past + lead - 1 on, are commands up to row k - lead and the
+    innovations just after them.
+    """
+    rows = max(len(run.t_s) - past - lead + 1, 0)
     innovation = np.nan_to_num(track.innovation.reshape(len(run.t_s), -1)[:, :4])
-    return np.hstack(
-        [run.command[j : j + rows] for j in range(PAST)]
-        + [innovation[j + 1 : j + 1 + rows] for j in range(PAST)]
+    firsts = range(past - 1, -1, -1)
+    return (
+        np.stack([run.command[first : first + rows] for first in firsts]),
+        np.stack([innovation[first + 1 : first + 1 + rows] for first in firsts]),
     )
 
 

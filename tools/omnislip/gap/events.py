@@ -376,7 +376,7 @@ class _Pushes:
         self.shown = -(whitening @ slope)
         transition = track.transition.reshape(rows, n, n)
         self.carry = transition - transition @ gain @ slope
-        self.horizon = max(3, round(HORIZON_S / float(np.median(np.diff(run.t_s)))))
+        self.horizon = max(3, round(HORIZON_S / run.row_s))
         self.t_s = run.t_s
 
     def ratios(self) -> tuple[Array, Array, Array]:

@@ -28,7 +28,7 @@ def relative_force_error(machine: Machine, run: Run, values: Array, late_s: floa
 
     The motion is taken to answer the command `late_s` ago.
     """
-    step_s = float(np.median(np.diff(run.t_s)))
+    step_s = run.row_s
     grid = np.arange(run.t_s[0], run.t_s[-1], step_s)
     command = np.interp(grid - late_s, run.t_s, run.command[:, 0])
     position = low_pass(np.interp(grid, run.t_s, run.outputs[:, 0]), step_s)

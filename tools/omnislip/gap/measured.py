@@ -448,7 +448,7 @@ def answer_to_pulses(machine: Machine, values: Array, run: Run, pulses: Array) -
 
     Cross spectra with the pulses: what the position loop makes of noise does not count.
     """
-    step_s = float(np.median(np.diff(run.t_s)))
+    step_s = run.row_s
     position = run.outputs[:, 0]
     speed = np.gradient(low_pass(position, step_s), step_s)
     states = np.stack([speed, position], axis=1)

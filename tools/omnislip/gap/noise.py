@@ -384,7 +384,7 @@ def _free(variances: Sequence[float]) -> Guess:
 
 def _axis_start(runs: Sequence[Run]) -> Guess:
     place = _median_variance(runs, [0], 1e-18)
-    step_s = float(np.median(np.diff(runs[0].t_s)))
+    step_s = runs[0].row_s
     # Speed that the noise of two positions would feign, gained within 50 rows.
     return _free([place / step_s**2 / (50 * step_s), place])
 

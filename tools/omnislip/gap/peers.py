@@ -109,7 +109,7 @@ def _terms(machine: Machine, v: Array, q: Array, u: Array) -> Array:
 
 def _library(machine: Machine, run: Run) -> tuple[Array, Array, tuple[Array, Array, Array]]:
     """Terms (rows, terms), derived acceleration (rows,), and (speed, position, command)."""
-    step_s = float(np.median(np.diff(run.t_s)))
+    step_s = run.row_s
     grid = np.arange(run.t_s[0], run.t_s[-1], step_s)
     row = np.searchsorted(run.t_s, grid, side="right") - 1
     position = filtfilt(*butter(4, CUT_SHARE), np.interp(grid, run.t_s, run.outputs[:, 0]))

@@ -442,7 +442,7 @@ def _ranked(found: Sequence[Separation]) -> list[Separation]:
 
 def _rate_of(run: Run) -> int:
     """Row rate (Hz) nearest to that of a run among those that a scenario can have."""
-    wanted = 1.0 / float(np.median(np.diff(run.t_s)))
+    wanted = 1.0 / run.row_s
     rates = [hz for hz in range(50, CONTROL_RATE_HZ + 1) if CONTROL_RATE_HZ % hz == 0]
     return min(rates, key=lambda hz: abs(hz - wanted))
 

@@ -149,7 +149,7 @@ def _states(runs: Sequence[Run], tracks: Sequence[_core.Track]) -> list[Array]:
 
 def _sparse_rows(run: Run) -> npt.NDArray[np.int64]:
     """Rows some `ROW_S` apart, after the filter has settled."""
-    stride = max(1, round(ROW_S / float(np.median(np.diff(run.t_s)))))
+    stride = max(1, round(ROW_S / run.row_s))
     first = int(np.searchsorted(run.t_s, run.t_s[0] + _core.SETTLE_S))
     return np.arange(first, len(run.t_s), stride)
 

@@ -62,6 +62,11 @@ class Run:
         """Time from the first row to the last."""
         return float(self.t_s[-1] - self.t_s[0])
 
+    @property
+    def row_s(self) -> float:
+        """Time from row to row, the median."""
+        return float(np.median(np.diff(self.t_s)))
+
     def commanded(self, command: Array) -> "Run":
         """Return the run as if this had been its command (rows, motors)."""
         return replace(self, command=command, recording=self.recording.commanded(command))

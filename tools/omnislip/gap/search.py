@@ -662,7 +662,7 @@ class _Ahead:
         1.25 rows): what ends nearer than the first of these delays is none of them.
         """
         nearest = FAR_DELAYS_ROWS[0]
-        row_s = float(np.median(np.diff(self._data.runs[0].t_s)))
+        row_s = self._data.runs[0].row_s
         current = self._current.hypothesis
 
         def delayed(rows: float) -> Hypothesis:
@@ -841,7 +841,7 @@ def _verdict(
     if chance >= ALPHA:
         return f"could be chance (p = {chance:.2g} over everything tried)", False
     if evidence.beyond_chance < data.feigned_gain:
-        return "a controller that answers within rows feigns as much", False
+        return "a controller's answers feign as much", False
     if check.gain <= 0:
         return "makes runs worse that were not fitted", False
     voters = int(np.sum(check.voters))
@@ -873,7 +873,7 @@ def _within_row(data: Data, candidate: Candidate, sizes: Array) -> bool:
         "driver_lag": sizes[0],
         "armature_inductance": sizes[0] / resistance,
     }
-    row_s = float(np.median(np.diff(data.runs[0].t_s)))
+    row_s = data.runs[0].row_s
     return seconds.get(candidate.effect, np.inf) < SHORTEST_LAG_ROWS * row_s
 
 
@@ -1079,7 +1079,7 @@ def _compare_rivals(
     """Judge every effect beside all others; strongest first, the friction curve last.
 
     A friction curve that is not the believed one is so common that it is rarely the news. What a
-    controller that answers within rows feigns decides nothing between rivals either.
+    controller's answers feign decides nothing between rivals either.
     """
     selected = []
     for index, effect in enumerate(final.hypothesis.effects):
