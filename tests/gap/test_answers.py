@@ -61,6 +61,24 @@ def test_a_command_that_is_held_is_no_answer(seed, rows_held):
     assert news_in(machine, [held], noise).share == 0.0
 
 
+def commands_that_answer(runs, tracks, rows_held):
+    """Slow waves and what the last innovations of each wheel say, held for some rows."""
+    driven = []
+    for run, track in zip(runs, tracks, strict=True):
+        told = np.nan_to_num(track.innovation.reshape(len(run.t_s), -1)[:, :4])
+        waves = 0.1 * np.sin(2 * np.pi * 0.4 * run.t_s[:, None] + np.arange(4))
+        now = np.arange(len(run.t_s)) // rows_held * rows_held
+        driven.append(replace(run, command=(waves - 1e-3 * told / told.std())[now]))
+    return driven
+
+
+@pytest.mark.parametrize("rows_held", [1, 2, 5])
+def test_a_controller_slower_than_the_log_answers_all_the_same(rows_held):
+    machine, runs, noise = runs_and_noise(seed=5, runs=2, run_duration_s=4.0)
+    tracks = track_all(machine, runs, machine.believed, noise, keep_linear=True)
+    assert news_of(machine, commands_that_answer(runs, tracks, rows_held), tracks).answers
+
+
 def test_a_programme_is_no_answer_beside_a_wrong_model(monkeypatch):
     """Beside too much grip innovations tell how the robot moves, and that how commands go on."""
     grip = HiddenEffect("low_grip", {"scale": 0.6}).as_dict()
@@ -86,7 +104,7 @@ def test_news_are_what_was_added_to_commands_that_go_on():
         programme[len(run.t_s) // 2 :] += 0.3
         driven.append(replace(run, command=programme + chance))
         added.append(chance)
-    found = answers._new(driven, tracks)
+    found = answers._new(list(zip(driven, tracks, strict=True)))
     for new, chance in zip(found, added, strict=True):
         new, chance = new[50:].ravel(), chance[50:].ravel()
         assert new @ chance / (chance @ chance) == pytest.approx(1.0, abs=0.1)
@@ -103,7 +121,7 @@ def test_a_piece_too_short_to_foresee_anything_holds_no_news():
         ),
     )
     tracks = track_all(machine, [runs[0], short], machine.believed, noise, keep_linear=True)
-    first, second = answers._new([runs[0], short], tracks)
+    first, second = answers._new(list(zip([runs[0], short], tracks, strict=True)))
     assert np.any(first)
     assert second.shape == short.command.shape
     assert not np.any(second)
@@ -184,6 +202,20 @@ def test_an_answer_to_strong_disturbances_feigns_no_lag(seed, monkeypatch):
     monkeypatch.setattr(inference, "news_of", lambda *_: News([], 0.0, True))
     bare = Data(machine, runs, noise, believed_hypothesis(machine))
     assert min(promises(bare).values()) > 5 * CHANCE
+
+
+@pytest.mark.parametrize("slow_first", [False, True])
+def test_no_lag_is_feigned_by_logs_of_different_rows(slow_first):
+    """Three at 200 Hz and one at 50 Hz: each is foreseen from 30 ms of its own rows before."""
+    machine = Machine(MODEL)
+    case = {"closed_loop": True, "noise_level": 3.0, "run_duration_s": 3.0, "base_offset_sd": 0.0}
+    fast = runs_of(machine, TruthCase(seed=5, runs=3, **case))
+    slow = runs_of(machine, TruthCase(seed=25, runs=1, row_s=0.02, **case))
+    slow = [replace(run, name="slow", unit="slow") for run in slow]
+    runs = [*slow, *fast] if slow_first else [*fast, *slow]
+    noise = tune_noise(machine, runs, machine.believed)
+    data = Data(machine, runs, noise, believed_hypothesis(machine))
+    assert max(promises(data).values()) < CHANCE
 
 
 @pytest.mark.parametrize(

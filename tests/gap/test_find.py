@@ -126,7 +126,9 @@ def test_what_is_refused_is_something_where_it_gains_more_than_anything_feigns(
     gain, feigned_gain, named, verdict
 ):
     evidence = Evidence(gain, 1.0, 0.0, np.eye(1), 0.0)
-    refused = SimpleNamespace(step=1, accepted=False, validation_gain=-1.0, evidence=evidence)
+    refused = SimpleNamespace(
+        step=1, accepted=False, checked=True, validation_gain=-1.0, evidence=evidence
+    )
     effects = [selected("coulomb_friction", named)] if named else []
     assert verdict_of(effects, feigned_gain=feigned_gain, trials=(refused,)) == verdict
 
@@ -194,6 +196,14 @@ def axis(tmp_path_factory):
     findings = found(*axis_case(folder))
     write_results(findings, folder / "gap", "report")
     return findings, folder / "gap"
+
+
+def test_keys_that_are_exact_leave_nothing_to_fit_but_effects(tmp_path):
+    """Tolerance 0 for all of them; dry friction of 2 N or none."""
+    hidden = found(*axis_case(tmp_path / "dry", replace(AXIS_BENCH, coulomb_n=2.0), tolerance=0.0))
+    assert [s.candidate.name for s in hidden.outcome.selected] == ["coulomb_friction"]
+    exact = replace(AXIS_BENCH, coulomb_n=0.0)
+    assert found(*axis_case(tmp_path / "none", exact, tolerance=0.0)).verdict == "no_gap"
 
 
 # ---- robot ----

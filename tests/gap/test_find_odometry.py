@@ -9,7 +9,7 @@ from omnislip.gap.find import find_gap, split_runs
 from omnislip.gap.machine import Machine
 from omnislip.gap.recordings import ODOMETRY_CHANNELS, body_errors, make_run
 from omnislip.log_file import Log, write_log
-from omnislip.model_file import read_model
+from omnislip.model_file import read_model, write_model
 
 RADIUS_M, DISTANCE_M, COUNTS = 0.05, 0.2, 12000
 ANGLES_DEG = [30.0, 150.0, 210.0, 330.0]
@@ -99,11 +99,42 @@ def test_a_radius_that_is_wrong_beyond_its_tolerance_is_an_effect_with_its_alias
     assert {effect.candidate.name, *effect.rivals} >= {"wheel_radius_error", "encoder_scale"}
 
 
+def with_radii(log, factors):
+    """The same way driven on other wheels."""
+    counts = {f"wheel/{i + 1}/encoder_counts": f for i, f in enumerate(factors)}
+    turned = {name: np.round(log.columns[name] / f) for name, f in counts.items()}
+    return dataclasses.replace(log, columns=log.columns | turned)
+
+
+@pytest.mark.parametrize("factors", [(1.06, 1.20, 1.06, 1.06), (1.12, 1.25, 1.12, 1.12)])
+def test_radii_of_all_wheels_and_of_one_stand_in_the_amended_model(tmp_path, model, factors):
+    """Whichever of the two is found first; a wheel's own counts where both are given."""
+    findings = find(tmp_path, model, [with_radii(make_log(seed), factors) for seed in range(6)])
+    write_model(findings.amended, tmp_path / "amended.toml")
+    amended = Machine(read_model(tmp_path / "amended.toml")).believed
+    final = findings.outcome.final.hypothesis.flat(findings.machine.believed)
+    np.testing.assert_allclose(amended, final, rtol=1e-9)
+    assert named(findings)[0].startswith("wheel_radius_error")
+    assert findings.table.closed.low > 0.99
+
+
+def test_what_only_one_log_shows_is_said_and_not_judged(tmp_path, model):
+    """Not refused as spoiling the others, of which nothing can be told."""
+    logs = [make_log(seed, slip=0.05, seconds=120.0 if seed == 0 else 30.0) for seed in range(5)]
+    for log in logs[1:4]:
+        still = {name: 0.0 * log.columns[name] for name in log.columns}
+        rng = np.random.default_rng(1)
+        still |= {n: 3e-4 * rng.standard_normal(len(log.t_s)) for n in still if "pose" in n}
+        log.columns.update(still)
+    findings = find(tmp_path, model, logs)
+    assert findings.verdict == "insufficient_data"
+    assert "lateral_slip (fraction 0.05" in findings.sentence
+    assert "too few runs show it" in findings.sentence
+
+
 def test_the_amended_model_has_no_gap(tmp_path, model):
     logs = [make_log(seed, slip=0.05) for seed in range(6)]
     amended = tmp_path / "amended.toml"
-    from omnislip.model_file import write_model
-
     write_model(find(tmp_path, model, logs).amended, amended)
     assert find(tmp_path, amended, logs).verdict == "no_gap"
 

@@ -401,6 +401,19 @@ def test_most_of_the_runs_in_which_something_is_at_stake_have_to_gain(gains, sta
     assert Check(np.array(gains), np.array(stakes), np.zeros(len(gains))).helps == helps
 
 
+def test_runs_of_a_unit_have_one_vote(dry):
+    """What three of four runs gain is one vote of two where these are a unit."""
+    data, base, fitted = dry
+    runs = [replace(run, unit=u) for run, u in zip(data.runs, "aaab", strict=True)]
+    pooled = Data(data.machine, runs, data.noise, without_effects(data.machine))
+    [check] = check_unseen(pooled, base, [fitted])
+    [alone] = check_unseen(data, base, [fitted])
+    assert check.gains.shape == (2,)
+    assert check.stakes == pytest.approx([alone.stakes[:3].sum(), alone.stakes[3]])
+    columns = fitted.residual[:, None] - base.residual[:, None]
+    assert check_columns(pooled, base.residual, columns).gains.shape == (2,)
+
+
 def test_a_run_that_does_not_judge_has_no_vote():
     gains, stakes = np.array([9.0, 8.0, 9.0, -300.0]), np.array([HIGH] * 4)
     assert not Check(gains, stakes, np.zeros(4)).helps

@@ -7,6 +7,7 @@ import pytest
 from axis_bench import MASS_KG, make_machine, model_text
 from omnislip import _core
 from omnislip.gap.machine import AXIS_KEYS, Machine
+from omnislip.gap.search import believed_hypothesis
 from omnislip.model_file import NOMINAL_ROBOT, Effect, read_model, write_model
 
 ROBOT = Machine(read_model(NOMINAL_ROBOT))
@@ -218,6 +219,25 @@ def test_amended_axis_comes_back_from_its_file(entry, linear, tmp_path):
     for parameter in entry["parameters"]:
         places = list(machine.place(entry["name"], parameter["name"], None))
         np.testing.assert_array_equal(again.believed[places], 0.3)
+
+
+@pytest.mark.parametrize("order", [(None, 2), (2, None)])
+def test_a_wheel_of_its_own_stands_beside_all_wheels_in_any_order(order, tmp_path):
+    size = {None: 1.06, 2: 1.2}
+    effects = [Effect("wheel_radius_error", {"scale": size[w]}, w) for w in order]
+    path = tmp_path / "amended.toml"
+    write_model(ROBOT.amended_model({}, effects), path)
+    again = Machine(read_model(path))
+    places = list(again.place("wheel_radius_error", "scale", None))
+    assert again.believed[places].tolist() == [1.06, 1.2, 1.06, 1.06]
+    _, simulated = again.model.to_core()
+    assert [one["wheel"] for one in simulated] == [None, 2]
+    model = believed_hypothesis(ROBOT)
+    for wheel in order:
+        name = "wheel_radius_error" + (f" (wheel {wheel})" if wheel else "")
+        candidate = next(c for c in ROBOT.candidates() if c.name == name)
+        model = model.with_effect(candidate, [size[wheel]])
+    np.testing.assert_array_equal(model.flat(ROBOT.believed), again.believed)
 
 
 def test_amended_model_keeps_what_was_there(tmp_path):

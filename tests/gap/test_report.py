@@ -76,11 +76,13 @@ def findings_of(machine, verdict, effects=(), rivals=()):
     fit = Fit(hypothesis, 1.0, np.zeros(1), np.zeros((1, 1)))
     refused = next(c for c in machine.candidates() if c not in effects)
     trials = [
-        Trial(step, e, sizes_of(e), evidence_of(e), 1e-9, 12.5, "explains more", True)
+        Trial(step, e, sizes_of(e), evidence_of(e), 1e-9, 12.5, True, "explains more", True)
         for step, e in enumerate(effects, 1)
     ]
     trials.append(
-        Trial(1, refused, sizes_of(refused), evidence_of(refused), 0.4, -1.0, "too weak", False)
+        Trial(
+            1, refused, sizes_of(refused), evidence_of(refused), 0.4, -1.0, True, "too weak", False
+        )
     )
     selected = tuple(
         Selected(e, sizes_of(e), interval_of(e), evidence_of(e), tuple(rivals), 0.97, 1e4)

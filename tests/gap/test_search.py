@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from axis_bench import Bench, make_log, make_machine, make_runs, silent
 from omnislip.gap import search as search_module
-from omnislip.gap.inference import fit, weigh
+from omnislip.gap.inference import Data, fit, weigh
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import track_all
 from omnislip.gap.recordings import make_run
@@ -88,6 +88,14 @@ def test_a_name_that_one_run_of_eight_gives_is_lost_where_that_run_is_not_drawn(
     moved = [r * np.sqrt(1.0 + s / np.sum(r**2)) for r, s in zip(runs, shift, strict=True)]
     rival = replace(final, residual=np.concatenate(moved))
     assert stability_of(data, final, [rival]) == pytest.approx(1 - (7 / 8) ** 8, abs=0.05)
+
+
+def test_units_of_runs_are_drawn_not_runs(outcomes):
+    """Eight runs in two units are too few to say anything."""
+    outcome = outcomes["coulomb_friction"]
+    runs = [replace(r, unit=u) for r, u in zip(outcome.data.runs, "aaaabbbb", strict=True)]
+    pooled = Data(outcome.data.machine, runs, outcome.data.noise, outcome.base.hypothesis)
+    assert np.isnan(stability_of(pooled, outcome.final, [outcome.base]))
 
 
 @pytest.mark.parametrize("name", HIDDEN)

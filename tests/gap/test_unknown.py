@@ -113,6 +113,20 @@ def test_formula_of_a_power_is_that_power(power, size, sign):
     np.testing.assert_allclose(values, sign * size * (knots / 200.0) ** power, atol=1e-6 * size)
 
 
+def test_forces_are_those_on_the_mass_and_inertias_of_the_model():
+    """Believed 20 kg, 0.55 and 2.5e-5 kg m2; the model adds to each, to the third shaft alone."""
+    machine = Machine(read_model(NOMINAL_ROBOT))
+    values = machine.believed.copy()
+    values[machine.place("payload", "mass_kg", None)[0]] = 5.0
+    values[machine.place("inertia_error", "inertia_kg_m2", None)[0]] = 0.2
+    values[machine.place("motor_inertia_error", "inertia_kg_m2", 3)[0]] = 1.5e-5
+    sizes = {one.name: one.size for one in equations(machine, values)}
+    assert sizes["body/force_x"] == pytest.approx(25.0)
+    assert sizes["body/moment"] == pytest.approx(0.75)
+    assert sizes["wheel/3/torque"] == pytest.approx(4e-5)
+    assert sizes["wheel/1/friction"] == pytest.approx(2.5e-5)
+
+
 def test_every_equation_pushes_what_it_says():
     """A unit of a world force along y at heading 90 degrees pushes the body along its x."""
     machine = Machine(read_model(NOMINAL_ROBOT))

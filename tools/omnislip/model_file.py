@@ -165,8 +165,15 @@ class Model:
                 parameters |= {f"{key}[{index}]": item for index, item in enumerate(value)}
             else:
                 parameters[key] = value
+        return parameters, [self._effect_to_core(effect) for effect in self.plant_effects()]
+
+    def plant_effects(self) -> list[Effect]:
+        """Return what is no wiring and no push; a wheel's effect after that of all wheels.
+
+        The last one counts where both have a parameter.
+        """
         plant = [effect for effect in self.effects if effect.name not in (*WIRING, "impact")]
-        return parameters, [self._effect_to_core(effect) for effect in plant]
+        return sorted(plant, key=lambda effect: effect.wheel is not None)
 
     def _effect_to_core(self, effect: Effect) -> dict[str, Any]:
         entry = next(entry for entry in self.catalogue if entry["name"] == effect.name)

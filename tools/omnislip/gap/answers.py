@@ -59,8 +59,13 @@ ROUNDING = 1e-6
 """Of a command's size: less is nothing new (a timer has steps of 1e-3, a log six digits)."""
 CALM = 1.0
 """Changes of a command in such rows, in their deviations."""
+MOVES = 2 / 3
+"""Share of rows in which a command moves, below which its controller is slower than the log: then
+it answers in those rows only."""
 SHORT_PAST, PAST = 6, 12
 """Rows from which a command is predicted, by those of one wheel and of all."""
+ROW_S = 0.005
+"""Shorter rows of a past are taken together."""
 CLIP = 3.0
 UNUSUAL, ROBUST_ROUNDS = 4.0, 4
 """Standard deviations beyond which news are no answer but the programme's; rounds to find them."""
@@ -135,6 +140,14 @@ class Foreseen:
         return (change @ self._axes) @ self._axes.T + share[:, None] * own
 
 
+def lead_rows(run: Run) -> int:
+    """Rows from one whose disturbances are chance back to the last that may tell what goes on then.
+
+    A row's command goes on to the next row.
+    """
+    return max(2, round(CHANCE_S / run.row_s))
+
+
 def foreseen(run: Run, track: _core.Track) -> Array:
     """States (rows, states) without what was corrected in the last `CHANCE_S`."""
     rows = len(run.t_s)
@@ -143,7 +156,7 @@ def foreseen(run: Run, track: _core.Track) -> Array:
     innovation = np.nan_to_num(track.innovation.reshape(rows, -1))
     corrected = np.einsum("kij,kj->ki", gain, innovation)
     states = track.state.reshape(rows, -1) - corrected
-    for _ in range(round(CHANCE_S / run.row_s)):
+    for _ in range(lead_rows(run)):
         corrected[1:] = np.einsum("kij,kj->ki", transition[:-1], corrected[:-1])
         corrected[0] = 0.0
         states -= corrected
@@ -151,25 +164,50 @@ def foreseen(run: Run, track: _core.Track) -> Array:
 
 
 def news_of(machine: Machine, runs: Sequence[Run], tracks: Sequence[_core.Track]) -> News:
-    """Return what is new in the commands beside what the wheel's last commands lead to (linearly).
+    """Return what is new in the commands; runs whose rows are as long are asked together.
 
-    Innovations beside a wrong model tell how the robot moves, and where commands follow a programme
-    that tells how they go on. So what they explain has to be more than the motion foreseen explains
-    as well: an answer is one to what was not. `tracks` keep their matrices. Nothing of machines
-    other than robots.
+    `tracks` keep their matrices. Nothing of machines other than robots.
     """
     if machine.kind != "robot":
         return News([], 0.0, True)
+    new: dict[int, Array] = {}
+    most = 0.0
+    for lead in {lead_rows(run) for run in runs}:
+        own = [k for k, run in enumerate(runs) if lead_rows(run) == lead]
+        logged = [(runs[k], tracks[k]) for k in own]
+        share = _share_answered(logged)
+        most = max(most, share)
+        if share > FOLLOWS:
+            new.update(zip(own, _new(logged), strict=True))
+    found = [new.get(k, np.zeros_like(run.command)) for k, run in enumerate(runs)]
+    return News(found if new else [], most, _driven(machine, tracks))
+
+
+def _share_answered(logged: Sequence[tuple[Run, _core.Track]]) -> float:
+    """Share of what is new in commands, beside what the wheel's last lead to, that goes with
+    innovations.
+
+    Where a command moves, but hardly. Innovations beside a wrong model tell how the robot moves,
+    and where commands follow a programme that tells how they go on. So what they explain has to be
+    more than the motion foreseen explains as well: an answer is one to what was not.
+    """
+    stride = _stride(logged[0][0])
+    past = SHORT_PAST * stride
     commanded, told, now, motion = [], [], [], []
-    for run, track in zip(runs, tracks, strict=True):
-        commands, innovations = _past(run, track, SHORT_PAST, 1)
-        commanded.append(commands.reshape(SHORT_PAST, -1).T)
+    for run, track in logged:
+        commands, _ = _past(run, track, past, 1, 1)
+        _, innovations = _past(run, track, SHORT_PAST, stride, 1)
+        commanded.append(commands.reshape(past, -1).T)
         told.append(innovations.reshape(SHORT_PAST, -1).T)
-        now.append(run.command[SHORT_PAST:].ravel())
-        motion.append(_motion(foreseen(run, track)[SHORT_PAST:]))
+        now.append(run.command[past:].ravel())
+        motion.append(_motion(foreseen(run, track)[past:]))
     x, told, y, motion = (np.concatenate(each) for each in (commanded, told, now, motion))
-    steps = np.abs(y - x[:, 0]) / max(_spread(y - x[:, 0]), 1e-9)
-    calm = steps <= CALM
+    step = np.abs(y - x[:, 0])
+    moves = step > ROUNDING * np.max(np.abs(y), initial=0.0)
+    if not moves.any():
+        return 0.0
+    asked = moves if np.mean(moves) < MOVES else np.full(len(y), True)
+    calm = asked & (step <= CALM * _spread(step[asked]))
     commanded = x[calm]
     limit = CLIP * _spread(told[calm])
     innovations = np.clip(told[calm], -limit, limit)
@@ -177,48 +215,59 @@ def news_of(machine: Machine, runs: Sequence[Run], tracks: Sequence[_core.Track]
         _share_explained(known, innovations, y[calm])
         for known in (commanded, np.hstack([commanded, motion[calm]]))
     )
-    if share < BEYOND_CHANCE * SHORT_PAST / np.count_nonzero(calm):
-        share = 0.0
-    new = _new(runs, tracks) if share > FOLLOWS else []
-    return News(new, float(share), _driven(machine, tracks))
+    return share if share > BEYOND_CHANCE * SHORT_PAST / np.count_nonzero(calm) else 0.0
 
 
-def _new(runs: Sequence[Run], tracks: Sequence[_core.Track]) -> list[Array]:
+def _new(logged: Sequence[tuple[Run, _core.Track]]) -> list[Array]:
     """News of the commands (rows, 4) of each run: what nobody could foresee `CHANCE_S` before.
 
     Prediction by robust least squares. News are clipped: a step of the programme is no answer.
     """
-    lead = max(1, round(CHANCE_S / runs[0].row_s))
-    pasts = [_past(run, track, PAST, lead) for run, track in zip(runs, tracks, strict=True)]
+    lead, stride = lead_rows(logged[0][0]), _stride(logged[0][0])
+    pasts = [_past(run, track, PAST, stride, lead) for run, track in logged]
     x = np.concatenate([np.hstack([*commands, *innovations]) for commands, innovations in pasts])
     x /= np.maximum(x.std(axis=0), 1e-12)
-    y = np.concatenate([run.command[PAST + lead - 1 :] for run in runs])
+    first = PAST * stride + lead - 1
+    y = np.concatenate([run.command[first:] for run, _ in logged])
     usual = np.full(len(y), True)
     for _ in range(ROBUST_ROUNDS):
         left = y - x @ np.linalg.lstsq(x[usual], y[usual], rcond=None)[0]
         limit = UNUSUAL * np.median(np.abs(left), axis=0) / 0.6745
         usual = np.all(np.abs(left) <= limit, axis=1)
     new = np.clip(left, -limit, limit)
-    found = [np.zeros_like(run.command) for run in runs]
+    found = [np.zeros_like(run.command) for run, _ in logged]
     parts = np.split(new, np.cumsum([commands.shape[1] for commands, _ in pasts])[:-1])
     for own, part in zip(found, parts, strict=True):
         own[len(own) - len(part) :] = part
     return found
 
 
-def _past(run: Run, track: _core.Track, past: int, lead: int) -> tuple[Array, Array]:
-    """Commands and innovations of all wheels (past, rows, 4), the latest first.
+def _stride(run: Run) -> int:
+    """Rows that make one of the past."""
+    return max(1, round(ROW_S / run.row_s))
 
-    Those of command k, from row past + lead - 1 on, are commands up to row k - lead and the
-    innovations just after them.
+
+def _past(run: Run, track: _core.Track, past: int, stride: int, lead: int) -> tuple[Array, Array]:
+    """Commands and innovations of all wheels (past, rows, 4), means of `stride` rows, latest first.
+
+    Those of command k, from row past * stride + lead - 1 on, end with command k - lead and the
+    innovations just after it.
     """
-    rows = max(len(run.t_s) - past - lead + 1, 0)
-    innovation = np.nan_to_num(track.innovation.reshape(len(run.t_s), -1)[:, :4])
-    firsts = range(past - 1, -1, -1)
-    return (
-        np.stack([run.command[first : first + rows] for first in firsts]),
-        np.stack([innovation[first + 1 : first + 1 + rows] for first in firsts]),
+    rows = max(len(run.t_s) - past * stride - lead + 1, 0)
+    innovation = np.nan_to_num(track.innovation.reshape(len(run.t_s), -1)[1:, :4])
+    firsts = range((past - 1) * stride, -1, -stride)
+    commands, innovations = (
+        np.stack([signal[first : first + rows] for first in firsts])
+        for signal in (_means(run.command, stride), _means(innovation, stride))
     )
+    return commands, innovations
+
+
+def _means(values: Array, stride: int) -> Array:
+    """Means of values (rows, n) over the next `stride` rows each."""
+    if len(values) < stride:
+        return values[:0]
+    return np.lib.stride_tricks.sliding_window_view(values, stride, axis=0).mean(axis=-1)
 
 
 def _driven(machine: Machine, tracks: Sequence[_core.Track]) -> bool:

@@ -273,12 +273,11 @@ class Library:
 
     def __init__(self, data: Data, base: Fit) -> None:
         self.effects = screen(data, base, [c for c in _candidates(data) if _linear(data, c)])
-        flat = base.hypothesis.flat(data.believed)
         points, owner = [], []
         for number, one in enumerate(self.effects):
             for unit in np.eye(len(one.candidate.amplitudes)):
                 sizes = _sizes(data.machine, one, unit)
-                points.append(data.machine.with_effect(flat, one.candidate, sizes))
+                points.append(base.hypothesis.with_effect(one.candidate, sizes).flat(data.believed))
                 owner.append(number)
         secants = (data.residuals(np.stack(points)) - base.residual).T
         free = free_of_fitted(base, secants)

@@ -240,8 +240,7 @@ def _size_up(
     spread = max(1.0, misfit)
     weight = np.exp(-0.5 * (np.array([fit.cost for fit in fits]) - least) / spread)
     weight /= np.sum(weight)
-    mass = values[0] + values[machine.place("payload", "mass_kg", None)[0]]
-    inertia = values[1] + values[machine.place("inertia_error", "inertia_kg_m2", None)[0]]
+    mass, inertia, _ = machine.inertias(values)
     maps = [np.diag([mass, mass, inertia]) @ window.to_world(fit.time_s) for fit in fits]
     impulses = np.array([m @ fit.jump for m, fit in zip(maps, fits, strict=True)])
     variances = [

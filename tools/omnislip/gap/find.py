@@ -40,7 +40,15 @@ from omnislip.gap.recordings import (
     make_run,
     unused_columns,
 )
-from omnislip.gap.search import CONFIDENCE, SURE_GAIN, Outcome, Selected, first_model, search
+from omnislip.gap.search import (
+    CONFIDENCE,
+    SURE_GAIN,
+    Outcome,
+    Selected,
+    Trial,
+    first_model,
+    search,
+)
 from omnislip.gap.unknown import Unknown, describe_unknown
 from omnislip.gap.where import Map, Place, describe, map_gap
 from omnislip.gap.wiring import find_wirings, mend
@@ -77,11 +85,12 @@ gains, below which it carries a caution; below a tenth of this the search gives 
 LEAST_REST = 100.0
 """Gain beyond chance that a leftover term must have at least: where nothing is missing, how
 commands moved within rows leaves up to 60 in violent driving."""
-PREDICTED_SHARE, LASTING_SHARE = 0.15, 0.05
+PREDICTED_SHARE, LASTING_SHARE = 0.15, 0.22
 """Share of the filter's disturbances that is predicted from what the robot did, and from their own
-past. Where nothing is missing the first is below 0.1, the second below 0.01, beside right names
-too; unknown effects that pass for chance gave 0.12 to 0.77. More than half of the runs have to be
-helped: some hardly excite what is missing."""
+past. Where nothing is missing the first is below 0.1, beside right names too. The second is what
+chance of a bandwidth of 2 Hz tells of itself 60 ms ahead, exp(-2 * 2 pi 2 Hz * 0.06 s); of 10 Hz
+and more, below 0.01. Unknown effects that pass for chance gave 0.2 to 0.9. More than half of the
+runs have to be helped: some hardly excite what is missing."""
 VARIES, VARIES_SURELY = 1.0 / 3.0, 3.0
 """Change of an effect's size from half second to half second, relative to itself, from which it is
 not what is there; and the inflation, 1 for white residuals, from which that is no chance."""
@@ -213,6 +222,9 @@ def find_gap(
         reason = logged_set_points(machine, logs, outcome.final.hypothesis.flat(machine.believed))
         if reason:
             return _insufficient(machine, reason, inputs, wirings)
+    unchecked = _unchecked(outcome)
+    if unchecked and not (outcome.selected or _missing_terms(outcome)):
+        return _insufficient(machine, unchecked, inputs, wirings)
     hopeful = outcome.selected or outcome.leftover or _surely_refused(outcome)
     if not (hopeful or wiring or impacts):
         reason = too_poor(machine, outcome.limits)
@@ -233,7 +245,9 @@ def find_gap(
         machine, fitted, outcome.data.noise, refit, after if outcome.selected else None
     )
     progress("asking whether what is left is chance")
-    shares = predictable_shares(machine, fitted, outcome.data.noise, after, refit)
+    shares = predictable_shares(
+        machine, fitted, outcome.data.noise, after, refit, outcome.data.answers
+    )
     jolts = too_often(runs, impacts)
     verdict = _verdict(outcome, table, bool(wiring or impacts), shares, jolts)
     something = outcome.selected or verdict == "unknown_effect"
@@ -242,6 +256,7 @@ def find_gap(
     cautions = [FEW_RUNS] if outcome.selected and split.how not in WHOLE_RUNS else []
     cautions += [_unstable(one) for one in outcome.selected if one.stability < STABLE]
     cautions += weak_names(outcome.selected)
+    cautions += [f"Besides, {unchecked}."] if unchecked else []
     unknown = None
     if verdict == "unknown_effect":
         progress("describing what is missing")
@@ -319,15 +334,21 @@ def _verdict(
     outcome: Outcome, table: GapTable, mended: bool, shares: Sequence[Predictable], jolts: bool
 ) -> str:
     """Name effects only if they explain what is to be explained."""
-    least = max(LEAST_REST, outcome.data.feigned_gain)
-    better_term = any(
-        one.gain > one.covered and one.gain / one.inflation > least for one in outcome.leftover
-    )
-    if better_term or _surely_refused(outcome) or _much_is_left(table):
+    if _missing_terms(outcome) or _surely_refused(outcome) or _much_is_left(table):
         return "unknown_effect"
     if jolts or any(_no_chance(one) for one in shares) or _varying(outcome.selected):
         return "unknown_effect"
     return "effect_found" if outcome.selected or mended else "no_gap"
+
+
+def _missing_terms(outcome: Outcome) -> list[Leftover]:
+    """Return the terms that explain more than effects which are a bit off would leave."""
+    least = max(LEAST_REST, outcome.data.feigned_gain)
+    return [
+        one
+        for one in outcome.leftover
+        if one.gain > one.covered and one.gain / one.inflation > least
+    ]
 
 
 def _varying(selected: Sequence[Selected]) -> list[Selected]:
@@ -352,19 +373,39 @@ def _no_chance(found: Predictable) -> bool:
     return found.share > least and found.runs_helped > found.runs / 2
 
 
-def _surely_refused(outcome: Outcome) -> bool:
-    """Whether what was refused last, because it spoilt the other runs, is something for sure.
+def _surely_refused(outcome: Outcome) -> Trial | None:
+    """Return what was refused last because it spoilt the other runs, if it is sure."""
+    return _surest(outcome, lambda trial: trial.checked and trial.validation_gain <= 0)
+
+
+def _unchecked(outcome: Outcome) -> str | None:
+    """Say what is sure, but seen where no other run can check it; None if nothing is."""
+    trial = _surest(outcome, lambda trial: not trial.checked)
+    if trial is None:
+        return None
+    machine, candidate = outcome.data.machine, trial.candidate
+    sizes = [
+        f"{machine.file_parameter(p.label)} {trial.values[k]:.3g}"
+        for k, p in enumerate(candidate.parameters)
+        if k in candidate.amplitudes
+    ]
+    return (
+        f"{candidate.name} ({', '.join(sizes)}) would explain what is missing, but too few runs "
+        "show it to check that; drive more like those that do"
+    )
+
+
+def _surest(outcome: Outcome, refused: Callable[[Trial], bool]) -> Trial | None:
+    """Return what gains most of what was refused so in the last step, if it is sure.
 
     It gains more, beyond chance, than a controller feigns and than all that is named.
     """
-    named = sum(s.evidence.gain for s in outcome.selected)
+    named = sum(s.evidence.beyond_chance for s in outcome.selected)
     last = max((trial.step for trial in outcome.trials), default=0)
-    gains = [
-        trial.evidence.beyond_chance
-        for trial in outcome.trials
-        if trial.step == last and not trial.accepted and trial.validation_gain <= 0
-    ]
-    return max(gains, default=0.0) > max(SURE_GAIN, outcome.data.feigned_gain, named)
+    trials = [t for t in outcome.trials if t.step == last and not t.accepted and refused(t)]
+    surest = max(trials, key=lambda trial: trial.evidence.beyond_chance, default=None)
+    least = max(SURE_GAIN, outcome.data.feigned_gain, named)
+    return surest if surest and surest.evidence.beyond_chance > least else None
 
 
 def _much_is_left(table: GapTable) -> bool:
@@ -571,8 +612,8 @@ def _sentence(
         if unknown:
             text += f": {unknown.equation}, depending on {unknown.dependence}"
             text += f" (hypothesis: {unknown.formula})"
-        elif outcome.leftover:
-            term = outcome.leftover[0]
+        elif terms := _missing_terms(outcome):
+            term = terms[0]
             text += f": {term.equation}, depending on {term.dependence}"
         elif sure := [one for one in shares if _no_chance(one)]:
             source = "their own past" if sure[0].from_own_past else "commands, speeds and place"
@@ -585,10 +626,12 @@ def _sentence(
             f" {100 * one.evidence.variation:.0f} % from half second to half second"
             for one in _varying(outcome.selected)
         )
+        if refused := _surely_refused(outcome):
+            text += f"; {refused.candidate.name} explains much of it in some runs and spoils others"
         if _much_is_left(table):
             off = (1.0 + table.left.excess) ** 0.5
             text += f"; replays of held-out runs are {off:.2g} noise floors off"
-        if not (unknown or outcome.leftover) and shapes:
+        if not (unknown or _missing_terms(outcome)) and shapes:
             like = shapes[0]
             text += f"; most of it looks like {like.equation}, depending on {like.dependence}"
         text += "."

@@ -84,9 +84,10 @@ class Hypothesis:
         return self.base + tuple(p for effect in self.effects for p in effect.parameters)
 
     def flat(self, believed: Array, x: Array | None = None) -> Array:
-        """Return the flat parameter set of the engine."""
+        """Return the flat parameter set of the engine: all wheels first, then single ones."""
         values = believed.copy()
-        for parameter, number in zip(self.parameters, self.x if x is None else x, strict=True):
+        numbers = zip(self.parameters, self.x if x is None else x, strict=True)
+        for parameter, number in sorted(numbers, key=lambda one: -len(one[0].places)):
             values[list(parameter.places)] = number
         return values
 
@@ -236,7 +237,9 @@ class Data:
         columns = np.zeros((sum(len(run.t_s) for run in runs) * machine.engine.outputs, 0))
         if machine.kind == "robot":
             columns = hidden_columns(machine, self._newsless, self.tracks, values)
-        self._model, self._answers = model, news.answers
+        self._model = model
+        self.answers = news.answers
+        """Whether commands answer disturbances."""
         self._rises = self._kept_only(columns)
         told = 1 if news.answers and self._tells_rises else 0
         self._hidden = Projection(self._rises[:, told:])
@@ -248,7 +251,7 @@ class Data:
     @cached_property
     def _foreseen(self) -> Foreseen | None:
         """What could be foreseen in a closed loop; nothing in an open one."""
-        if not self._answers:
+        if not self.answers:
             return None
         values = self._model.flat(self.believed)
         rises = self._kept_only(hidden_columns(self.machine, self.runs, self.tracks, values))
@@ -355,6 +358,12 @@ class Data:
     def per_run(self, residual: Array) -> list[Array]:
         """Split one residual (m,) into runs."""
         return np.split(residual, np.cumsum(self._sizes())[:-1])
+
+    def per_unit(self, of_runs: Array) -> Array:
+        """Sum what runs have (runs, ...) over the runs of each unit (units, ...)."""
+        return np.stack(
+            [of_runs[self.units == unit].sum(0) for unit in range(self.units.max() + 1)]
+        )
 
     def _sizes(self) -> list[int]:
         """Length of each run's part of a residual."""
@@ -556,21 +565,18 @@ def fitted_without_each_unit(data: Data, fitted: Fit) -> Array:
     hypothesis = fitted.hypothesis
     scale = np.array([p.scale for p in hypothesis.parameters])
     parts = zip(data.per_run(fitted.jacobian), data.per_run(fitted.residual), strict=True)
-    grams, slopes = _grams(data, fitted), np.array([j.T @ r for j, r in parts])
+    slopes = data.per_unit(np.array([j.T @ r for j, r in parts]))
     gram, slope = fitted.information, fitted.slope(data.believed)
     values = []
-    for unit in range(int(data.units.max()) + 1):
-        own = data.units == unit
-        step = solve_within(
-            gram - grams[own].sum(0), slope - slopes[own].sum(0), *hypothesis.room()
-        )
+    for own_gram, own_slope in zip(_grams(data, fitted), slopes, strict=True):
+        step = solve_within(gram - own_gram, slope - own_slope, *hypothesis.room())
         values.append(hypothesis.flat(data.believed, hypothesis.x + step * scale))
     return np.stack(values)
 
 
 def _grams(data: Data, fitted: Fit) -> Array:
-    """Information (runs, parameters, parameters) that each run holds."""
-    return np.array([j.T @ j for j in data.per_run(fitted.jacobian)])
+    """Information (units, parameters, parameters) that each unit of runs holds."""
+    return data.per_unit(np.array([j.T @ j for j in data.per_run(fitted.jacobian)]))
 
 
 def left_by_shapes(
@@ -613,7 +619,7 @@ def _action(machine: Machine, fitted: Fit, index: int) -> Array:
 
 @dataclass(frozen=True)
 class Check:
-    """What a change of the model does to each run (runs,) by sizes fitted without its unit.
+    """What a change of the model does to each unit of runs (units,) by sizes fitted without it.
 
     `gains` is the fall of the square error, `stakes` the square of the change in the fits to all
     runs. Where the change is right, a gain is its stake +- twice its root, less what the sizes are
@@ -626,12 +632,12 @@ class Check:
 
     @property
     def judges(self) -> npt.NDArray[np.bool_]:
-        """Runs about which the others tell enough: not one that holds nearly all that is known."""
+        """Units about which the others tell enough: not one that holds nearly all that is known."""
         return self.unsure < np.maximum(self.stakes, LEAST_STAKE)
 
     @property
     def gain(self) -> float:
-        """Sum over the runs that judge."""
+        """Sum over the units that judge."""
         return float(np.sum(self.gains[self.judges]))
 
     @property
@@ -646,7 +652,7 @@ class Check:
 
     @property
     def helps(self) -> bool:
-        """Whether the sum is positive, and 3 of 4 runs gain or the mean beyond their scatter.
+        """Whether the sum is positive, and 3 of 4 units gain or the mean beyond their scatter.
 
         The second is a t-test.
         """
@@ -661,10 +667,10 @@ class Check:
 
 
 def check_unseen(data: Data, without: Fit, fits: Sequence[Fit]) -> list[Check]:
-    """Judge each of the fits against `without` on runs whose units were left out of both.
+    """Judge each of the fits against `without` on units of runs that were left out of both.
 
     An error counts up to `MOST_ERROR` standard deviations: where wheels spin out, a model that is
-    nearly right may be further off in a few rows than one that never lets them spin. And a run
+    nearly right may be further off in a few rows than one that never lets them spin. And a unit
     gains no more than it does where it was fitted: a linear step that is too long for the model
     without the effect is no merit of the effect.
     """
@@ -686,38 +692,35 @@ def check_unseen(data: Data, without: Fit, fits: Sequence[Fit]) -> list[Check]:
 
 
 def _unsure(data: Data, fitted: Fit) -> Array:
-    """Square error (runs,) to be expected of sizes that were fitted without a run's unit."""
-    grams, whole = _grams(data, fitted), fitted.information
+    """Square error (units,) to be expected of sizes that were fitted without a unit."""
+    whole = fitted.information
     # Something for sizes of which no other run, or none at all, tells anything.
     least = 1e-9 * np.diag(np.maximum(np.diag(whole), 1.0))
-    left_out = [grams[data.units == unit].sum(0) for unit in data.units]
     return np.array(
-        [
-            np.trace(np.linalg.solve(whole - own + least, gram))
-            for own, gram in zip(left_out, grams, strict=True)
-        ]
+        [np.trace(np.linalg.solve(whole - own + least, own)) for own in _grams(data, fitted)]
     )
 
 
 def _bounded_squares(data: Data, residuals: Array) -> Array:
-    """Square error (models, runs) of residuals (models, m), each bounded."""
+    """Square error (models, units) of residuals (models, m), each bounded."""
     bounded = np.clip(residuals, -MOST_ERROR, MOST_ERROR)
-    return np.array([[np.sum(part**2) for part in data.per_run(one)] for one in bounded])
+    squares = [[np.sum(part**2) for part in data.per_run(one)] for one in bounded]
+    return data.per_unit(np.array(squares).T).T
 
 
 def check_columns(data: Data, residual: Array, columns: Array) -> Check:
     """Judge a linear change of a residual (m,) by columns (m, k), sizes by least squares."""
     parts = list(zip(data.per_run(columns), data.per_run(residual), strict=True))
-    grams = np.array([c.T @ c for c, _ in parts])
-    slopes = np.array([c.T @ r for c, r in parts])
-    gains, stakes, unsure = (np.empty(len(parts)) for _ in range(3))
-    for run, unit in enumerate(data.units):
-        others = data.units != unit
+    grams = data.per_unit(np.array([c.T @ c for c, _ in parts]))
+    slopes = data.per_unit(np.array([c.T @ r for c, r in parts]))
+    gains, stakes, unsure = (np.empty(len(grams)) for _ in range(3))
+    for unit in range(len(grams)):
+        others = np.arange(len(grams)) != unit
         inverse = np.linalg.pinv(grams[others].sum(0), rcond=1e-9, hermitian=True)
         sizes = -inverse @ slopes[others].sum(0)
-        stakes[run] = sizes @ grams[run] @ sizes
-        gains[run] = -2.0 * sizes @ slopes[run] - stakes[run]
-        unsure[run] = np.trace(inverse @ grams[run])
+        stakes[unit] = sizes @ grams[unit] @ sizes
+        gains[unit] = -2.0 * sizes @ slopes[unit] - stakes[unit]
+        unsure[unit] = np.trace(inverse @ grams[unit])
     return Check(gains, stakes, unsure)
 
 
@@ -755,9 +758,11 @@ def solve_within(gram: Array, slope: Array, low: Array, high: Array) -> Array:
 
     What nothing depends on, the edge of a patch that no run crosses, stays where it is.
     """
+    if not len(gram):
+        return np.zeros(0)
     seen = np.diag(gram) > LEAST_INFORMATION
     low, high = np.where(seen, low, 0.0), np.where(seen, high, 0.0)
-    ridge = 1e-9 * np.trace(gram) / len(gram)
+    ridge = 1e-9 * np.trace(gram) / len(gram) + LEAST_INFORMATION
     factor = np.linalg.cholesky(gram + ridge * np.eye(len(gram))).T
     target = np.linalg.solve(factor.T, -slope)
     low, high = np.minimum(low, 0.0) - 1e-9, np.maximum(high, 0.0) + 1e-9

@@ -144,6 +144,22 @@ class Machine:
             return tuple(range(first, first + stride))
         return (first + wheel - 1,)
 
+    def inertias(self, values: Array) -> tuple[float, float, Array]:
+        """Return mass, inertia (kg m2) and those of the shafts (wheels,) of a robot, effects in it.
+
+        `values` are a flat set.
+        """
+        keys = self._key_places()
+        mass, inertia, shafts = (
+            values[list(keys[key])] + values[list(self.place(effect, parameter, None))]
+            for key, effect, parameter in (
+                ("robot.mass_kg", "payload", "mass_kg"),
+                ("robot.inertia_kg_m2", "inertia_error", "inertia_kg_m2"),
+                ("motor.inertia_kg_m2", "motor_inertia_error", "inertia_kg_m2"),
+            )
+        )
+        return float(mass[0]), float(inertia[0]), shafts
+
     def base_parameters(self) -> list[Parameter]:
         """Return the believed keys that the base fit may move, within two tolerances."""
         return [self._base_parameter(key) for key in self.model.values if self._may_move(key)]
@@ -191,13 +207,6 @@ class Machine:
             for p in entry["parameters"]
             if (effect, p["name"]) in EXTENSIONS
         ]
-
-    def with_effect(self, values: Array, candidate: Candidate, sizes: Iterable[float]) -> Array:
-        """Return a copy of flat `values` in which the candidate's parameters have `sizes`."""
-        changed = values.copy()
-        for parameter, size in zip(candidate.parameters, sizes, strict=True):
-            changed[list(parameter.places)] = size
-        return changed
 
     def effect_of(self, candidate: Candidate, values: Iterable[float]) -> Effect:
         """Return the effect of a model file that a candidate with these values is."""
@@ -265,7 +274,7 @@ class Machine:
         if self.kind == "axis":
             speed = AXIS_FRICTION_SPEED["linear" if self.linear else "rotary"]
             values[[p["name"] for p in base].index("axis.friction_speed")] = speed
-        for effect in self.model.effects:
+        for effect in self.model.plant_effects():
             if effect.name in self.catalogue:
                 self._apply(values, effect)
         return values

@@ -10,13 +10,14 @@ other runs that explains a share of them in runs it has not seen has found somet
 
 It is zero or below where only chance is left. What holds chance must not predict it: speeds and
 place are the filter's, corrected by the same measurements as the disturbances, and gave 15 % away
-where a robot drove to and fro and they hardly varied. What was corrected in the last `CHANCE_S`,
+where a robot drove to and fro and they hardly varied. What was corrected in the last 30 ms,
 longer than chance lasts, is therefore taken out of them: they are what the model made of the state
 of then. In a closed loop commands answer chance too, and all is taken from then.
 
 Nor does chance last. What bumps of the floor, sticky places or a ripple of the supply add need not
-go with any of these, but it goes on for a tenth of a second and more, where chance has faded to a
-hundredth. So the disturbances' own past is asked too, linearly.
+go with any of these, but it goes on for a tenth of a second and more, where chance has faded. So
+the disturbances' own past is asked too, linearly. (Chance of a bandwidth of 10 Hz tells nothing of
+itself after 60 ms, of 3 Hz a tenth, of 2 Hz 0.22: find.py asks for more than that.)
 
 No term has to be guessed beforehand, so this finds hysteresis, products and thresholds too; it does
 not say what they are (unknown.py tries to). Beside effects that explain nearly everything a small
@@ -33,7 +34,7 @@ from sklearn.ensemble import HistGradientBoostingRegressor
 from threadpoolctl import threadpool_limits
 
 from omnislip import _core
-from omnislip.gap.answers import CHANCE_S, foreseen, news_of
+from omnislip.gap.answers import foreseen, lead_rows
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import Noise, track_all
 from omnislip.gap.recordings import Run
@@ -52,7 +53,7 @@ ROW_S = 0.01
 FOLDS = 4
 LEAST_RUNS = 3
 OWN_PAST_S = (0.06, 0.09, 0.13, 0.18)
-"""At the first chance has faded to a tenth, at the last what goes on for longer still shows."""
+"""At the first most chance has faded, at the last what goes on for longer still shows."""
 REST = 0.2
 SEEN = 1e-3
 """Share of the variance that the noise allows below which the filter saw no disturbances: what it
@@ -74,12 +75,18 @@ class Predictable:
 
 
 def predictable_shares(
-    machine: Machine, runs: Sequence[Run], noise: Noise, values: Array, without: Array
+    machine: Machine,
+    runs: Sequence[Run],
+    noise: Noise,
+    values: Array,
+    without: Array,
+    answers: bool,
 ) -> list[Predictable]:
     """Return both shares of each equation, largest first; nothing for fewer than three logs.
 
-    `values` are those of the final model, `without` of the refitted one without effects. Only
-    robots have disturbances. `runs` may be pieces; pieces of a log are learned together.
+    `values` are those of the final model, `without` of the refitted one without effects; `answers`
+    tells whether loops are closed. Only robots have disturbances. `runs` may be pieces; pieces of a
+    log are learned together.
     """
     names = list(dict.fromkeys(run.name for run in runs))
     if machine.kind != "robot" or len(names) < LEAST_RUNS:
@@ -87,12 +94,11 @@ def predictable_shares(
     features, pasts, targets, there, owners = [], [], [], [], []
     gear = float(machine.model.values["motor.gear_ratio"])
     tracks = track_all(machine, runs, values, noise, keep_linear=True)
-    answers = news_of(machine, runs, tracks).answers
     after = _states(runs, tracks)
     before = _states(runs, track_all(machine, runs, without, noise))
     for run, track, state, unexplained in zip(runs, tracks, after, before, strict=True):
         rows = _sparse_rows(run)
-        seen = np.searchsorted(run.t_s, run.t_s[rows] - CHANCE_S) if answers else rows
+        seen = np.maximum(rows - lead_rows(run), 0) if answers else rows
         features.append(_features(run, state if answers else foreseen(run, track), gear)[seen])
         pasts.append(_own_past(run, state[:, DISTURBANCES], rows))
         targets.append(state[rows][:, DISTURBANCES])

@@ -79,7 +79,7 @@ AHEAD_GAIN = 50.0
 """Gain beyond chance, twice what chance reaches over everything tried, from which a refused effect
 is worth looking one step ahead, and none is needless: another one that is missing blurs it."""
 BEAM, BEAM_REFITS = 3, 6
-RESAMPLES, LEAST_RUNS_TO_RESAMPLE = 1000, 4
+RESAMPLES, LEAST_UNITS_TO_RESAMPLE = 1000, 4
 MOST_TUNINGS, AHEAD_TUNINGS, SETTLED = 6, 3, 1.0
 """Times that noise and model are fitted in turn, at most; the same to look one step ahead, for what
 passes settles again; and change of Q by what the fit moved that ends it."""
@@ -120,6 +120,8 @@ class Trial:
     evidence: Evidence
     chance: float
     validation_gain: float
+    checked: bool
+    """Whether runs could judge it by what fits the others."""
     reason: str
     accepted: bool
 
@@ -236,13 +238,13 @@ def search(
         candidates = [c for c in (*candidates, *chosen) if c.name not in taken]
         if len(current.hypothesis.effects) == MOST_EFFECTS:
             break
-    progress("looking for what no effect explains")
-    leftover = find_leftover(data, current)
     progress("fitting the final model")
     data, final = settle(machine, runs, current.hypothesis, data.noise)
     data, final = _patch_settled(data, _extend(machine, data, final))
     final = _drop_needless(data, final, tried)
     final = _whole_numbers(data, final)
+    progress("looking for what no effect explains")
+    leftover = find_leftover(data, final)
     ladder = _ladder(data, base_values, final)
     selected = _compare_rivals(data, final, neighbours, progress)
     return Outcome(
@@ -308,10 +310,10 @@ def screen(data: Data, current: Fit, candidates: Sequence[Candidate]) -> list[Sc
     """Rank candidates by the gain that one linear step from the current model promises."""
     variants = [(c, start) for c in candidates for start in c.starts]
     points, owners = [], []
-    flat = current.hypothesis.flat(data.believed)
     for number, (candidate, start) in enumerate(variants):
         for amplitude in candidate.amplitudes:
-            points.append(_moved(data.machine, flat, candidate, start, amplitude))
+            moved = _moved(data, current.hypothesis, candidate, start, amplitude)
+            points.append(moved.flat(data.believed))
             owners.append(number)
     columns = (data.residuals(np.stack(points)) - current.residual).T
     free = free_of_fitted(current, columns)
@@ -325,10 +327,17 @@ def screen(data: Data, current: Fit, candidates: Sequence[Candidate]) -> list[Sc
     return sorted(ranked.values(), key=lambda s: -s.promise)
 
 
-def _neutral(candidate: Candidate, machine: Machine, start: dict[int, float]) -> Array:
-    """Sizes of the candidate when it is absent, shaping parameters at `start`."""
-    values = np.array([machine.believed[p.places[0]] for p in candidate.parameters])
-    values[list(start)] = list(start.values())
+def _neutral(
+    data: Data, without: Hypothesis, candidate: Candidate, start: dict[int, float] | None = None
+) -> Array:
+    """Sizes of the candidate when it is absent, shaping parameters at `start`.
+
+    A wheel is like all wheels of the model `without` it, then.
+    """
+    flat = without.flat(data.believed) if candidate.wheel else data.believed
+    values = flat[[p.places[0] for p in candidate.parameters]]
+    if start:
+        values[list(start)] = list(start.values())
     return values
 
 
@@ -341,14 +350,18 @@ def _reach(candidate: Candidate, machine: Machine, amplitude: int) -> float:
 
 
 def _moved(
-    machine: Machine, flat: Array, candidate: Candidate, start: dict[int, float], amplitude: int
-) -> Array:
-    sizes = _neutral(candidate, machine, start)
-    reach = _reach(candidate, machine, amplitude)
+    data: Data,
+    current: Hypothesis,
+    candidate: Candidate,
+    start: dict[int, float],
+    amplitude: int,
+) -> Hypothesis:
+    sizes = _neutral(data, current, candidate, start)
+    reach = _reach(candidate, data.machine, amplitude)
     if amplitude not in start:
         finite = np.isfinite(sizes[amplitude])
         sizes[amplitude] = sizes[amplitude] + reach if finite else reach
-    return machine.with_effect(flat, candidate, sizes)
+    return current.with_effect(candidate, sizes)
 
 
 def _promise(
@@ -373,7 +386,7 @@ def _promise(
     cross = current.jacobian.T @ columns
     whole = np.block([[current.information, cross], [cross.T, columns.T @ columns]])
     slope = np.concatenate([current.slope(data.believed), columns.T @ current.residual])
-    low, high = _possible_amounts(data.machine, candidate)
+    low, high = _possible_amounts(data, current.hypothesis, candidate)
     below, above = current.hypothesis.room()
     step = solve_within(whole, slope, np.append(below, low), np.append(above, high))
     promise = float(-2.0 * slope @ step - step @ whole @ step)
@@ -394,12 +407,13 @@ def _half_turn(angle_rad: float) -> float:
     return float(np.mod(angle_rad + np.pi, 2 * np.pi) - np.pi)
 
 
-def _possible_amounts(machine: Machine, candidate: Candidate) -> tuple[Array, Array]:
+def _possible_amounts(data: Data, current: Hypothesis, candidate: Candidate) -> tuple[Array, Array]:
     """Bounds of the amplitudes in steps of the screen."""
+    neutral = _neutral(data, current, candidate)
     low, high = np.empty(len(candidate.amplitudes)), np.empty(len(candidate.amplitudes))
     for k, index in enumerate(candidate.amplitudes):
-        p = candidate.parameters[index]
-        absent, reach = machine.believed[p.places[0]], _reach(candidate, machine, index)
+        p, absent = candidate.parameters[index], neutral[index]
+        reach = _reach(candidate, data.machine, index)
         if np.isfinite(absent):
             low[k], high[k] = sorted(((p.low - absent) / reach, (p.high - absent) / reach))
         else:
@@ -407,7 +421,7 @@ def _possible_amounts(machine: Machine, candidate: Candidate) -> tuple[Array, Ar
     return low, high
 
 
-def _starting_sizes(machine: Machine, screened: Screened) -> list[Array]:
+def _starting_sizes(data: Data, current: Hypothesis, screened: Screened) -> list[Array]:
     """Sizes to start a fit from: hardly there, the linear estimate up to typical and beyond.
 
     And more than that estimate: play or a dead zone of half the size explains nothing of what the
@@ -420,13 +434,13 @@ def _starting_sizes(machine: Machine, screened: Screened) -> list[Array]:
     margin = np.array([0.01 * p.scale for p in candidate.parameters])
     starts = []
     for share, most in ((1.0, 0.02), (1.0, 1.0), (1.0, 5.0), (1.6, 5.0), (2.5, 5.0)):
-        sizes = _neutral(candidate, machine, shapes)
+        sizes = _neutral(data, current, candidate, shapes)
         for index in candidate.amplitudes:
             if not np.isfinite(sizes[index]):
                 sizes[index] = screened.start[index]
                 continue
             amount = float(np.clip(share * screened.start[index], -most, most))
-            sizes[index] = sizes[index] + _reach(candidate, machine, index) * amount
+            sizes[index] = sizes[index] + _reach(candidate, data.machine, index) * amount
         starts.append(np.clip(sizes, low + margin, high - margin))
     return list(np.unique(starts, axis=0))
 
@@ -441,7 +455,7 @@ def _refit(data: Data, current: Fit, screened: Sequence[Screened]) -> list[Fit]:
     offered = [
         [
             current.hypothesis.with_effect(one.candidate, sizes)
-            for sizes in _starting_sizes(data.machine, one)
+            for sizes in _starting_sizes(data, current.hypothesis, one)
         ]
         for one in screened
     ]
@@ -573,7 +587,7 @@ def _judge(
     """Judge the last effect of a model against the model `without` it."""
     index = len(without.hypothesis.effects)
     values = fitted.hypothesis.values_of(index)
-    absent = _neutral(candidate, data.machine, {})
+    absent = _neutral(data, without.hypothesis, candidate)
     chance = min(1.0, evidence.p_value * tried)
     left = SHAPE_SHARE * _left_by_others(data, without, fitted, index)
     reason, passed = _verdict(data, evidence, chance, check, left)
@@ -584,7 +598,9 @@ def _judge(
         reason, passed = "helps the predictor but not replays of runs that were not fitted", False
     if passed and _within_row(data, candidate, values):
         reason, passed = "shorter than the log can time: a tenth of a row", False
-    return Trial(step, candidate, values, evidence, chance, check.gain, reason, passed)
+    return Trial(
+        step, candidate, values, evidence, chance, check.gain, check.voters.any(), reason, passed
+    )
 
 
 @dataclass(frozen=True)
@@ -662,7 +678,7 @@ class _Ahead:
         1.25 rows): what ends nearer than the first of these delays is none of them.
         """
         nearest = FAR_DELAYS_ROWS[0]
-        row_s = self._data.runs[0].row_s
+        row_s = max(run.row_s for run in self._data.runs)
         current = self._current.hypothesis
 
         def delayed(rows: float) -> Hypothesis:
@@ -749,7 +765,7 @@ def _both_pass(data: Data, without: Fit, both: Fit, tried: int) -> bool:
         least = max(data.feigned_gain, SHAPE_SHARE * _left_by_others(data, rest, both, index))
         if evidence.p_value * tried >= ALPHA or evidence.beyond_chance < least:
             return False
-        absent = _neutral(effect, data.machine, {})
+        absent = _neutral(data, rest.hypothesis, effect)
         if not _differs(effect, sizes - absent, evidence) or _within_row(data, effect, sizes):
             return False
         sure = sure and evidence.beyond_chance > SURE_GAIN
@@ -826,8 +842,8 @@ def _replays_better(data: Data, without: Fit, with_effect: Fit, check: Check, su
     """
     sets = [fitted_without_each_unit(data, one) for one in (without, with_effect)]
     replays = []
-    for unit in np.unique(data.units[check.judges]):
-        runs = [data.runs[k] for k in np.flatnonzero((data.units == unit) & check.judges)]
+    for unit in np.flatnonzero(check.judges):
+        runs = [data.runs[k] for k in np.flatnonzero(data.units == unit)]
         replays += replay_all(data.machine, runs, data.noise, [one[unit] for one in sets])
     if any(np.any(np.isfinite(r.errors[0]) & ~np.isfinite(r.errors[1])) for r in replays):
         return False  # it runs away
@@ -842,11 +858,11 @@ def _verdict(
         return f"could be chance (p = {chance:.2g} over everything tried)", False
     if evidence.beyond_chance < data.feigned_gain:
         return "a controller's answers feign as much", False
-    if check.gain <= 0:
-        return "makes runs worse that were not fitted", False
     voters = int(np.sum(check.voters))
     if not voters:
-        return "changes no run enough to be checked there", False
+        return "is seen in no run that the others could check", False
+    if check.gain <= 0:
+        return "makes runs worse that were not fitted", False
     if not check.helps:
         return f"helps only {check.helped} of {voters} runs that were not fitted", False
     if evidence.beyond_chance < left:
@@ -873,7 +889,7 @@ def _within_row(data: Data, candidate: Candidate, sizes: Array) -> bool:
         "driver_lag": sizes[0],
         "armature_inductance": sizes[0] / resistance,
     }
-    row_s = data.runs[0].row_s
+    row_s = min(run.row_s for run in data.runs)
     return seconds.get(candidate.effect, np.inf) < SHORTEST_LAG_ROWS * row_s
 
 
@@ -1159,16 +1175,17 @@ def _profile_end(
 def stability_of(data: Data, final: Fit, others: Sequence[Fit]) -> float:
     """Return in which share of resamples of the runs `final` explains as much as all others.
 
-    The fits stay as they are and only the runs are drawn anew (resampling of estimated log
+    The fits stay as they are and only the units of runs are drawn anew (resampling of estimated log
     likelihoods: Kishino, Miyata and Hasegawa, J. Mol. Evol. 1990).
     """
-    runs = len(data.runs)
-    if runs < LEAST_RUNS_TO_RESAMPLE:
+    units = int(data.units.max()) + 1
+    if units < LEAST_UNITS_TO_RESAMPLE:
         return float("nan")
     squares = [[np.sum(r**2) for r in data.per_run(one.residual)] for one in [final, *others]]
-    lead = np.array(squares[1:]) - squares[0]
-    draws = np.random.default_rng(0).multinomial(runs, np.full(runs, 1.0 / runs), RESAMPLES)
-    return float(np.mean(np.all(draws @ lead.T > -EQUAL, axis=1)))
+    of_units = data.per_unit(np.array(squares).T)
+    lead = of_units[:, 1:] - of_units[:, :1]
+    draws = np.random.default_rng(0).multinomial(units, np.full(units, 1.0 / units), RESAMPLES)
+    return float(np.mean(np.all(draws @ lead > -EQUAL, axis=1)))
 
 
 def _limit(machine: Machine, screened: Screened) -> dict[str, float]:

@@ -290,7 +290,7 @@ def _hats(
 def equations(machine: Machine, values: Array) -> list[Equation]:
     """Return the equations of a machine and what a force in them may depend on."""
     if machine.kind == "axis":
-        return _axis_equations(machine)
+        return _axis_equations(machine, values)
     if machine.kind == "odometry":
         return _odometry_equations(machine)
     return _robot_equations(machine, values)
@@ -302,8 +302,7 @@ TIME = Quantity("time", "s", lambda x, d, t, i: t)
 def _robot_equations(machine: Machine, values: Array) -> list[Equation]:
     model = machine.model.values
     gear = float(model["motor.gear_ratio"])
-    mass, inertia = float(values[0]), float(values[1])
-    shaft = float(model["motor.inertia_kg_m2"])
+    mass, inertia, shafts = machine.inertias(values)
     turn = 2.0 * np.pi
     angle = Quantity("shaft angle", "rad", lambda x, d, t, i: x[:, 4 + i], turn)
     wheel_angle = Quantity("wheel angle", "rad", lambda x, d, t, i: x[:, 4 + i] / gear, turn)
@@ -326,7 +325,7 @@ def _robot_equations(machine: Machine, values: Array) -> list[Equation]:
             f"wheel/{i + 1}/torque",
             SHAFT_TORQUE,
             "N m",
-            shaft,
+            shafts[i],
             i,
             wheel,
             lambda x, i=i: {i: _one(x)},
@@ -338,7 +337,7 @@ def _robot_equations(machine: Machine, values: Array) -> list[Equation]:
             f"wheel/{i + 1}/friction",
             "torque against rotation",
             "N m",
-            shaft,
+            shafts[i],
             i,
             (angle, wheel_angle, TIME),
             lambda x, i=i: {i: -np.tanh(x[:, i] / SLOW_RAD_S)},
@@ -435,9 +434,10 @@ def _rate(time_s: Array, values: Array) -> Array:
     return np.convolve(np.gradient(values, time_s), kernel, mode="same")
 
 
-def _axis_equations(machine: Machine) -> list[Equation]:
+def _axis_equations(machine: Machine, values: Array) -> list[Equation]:
     linear = machine.linear
-    inertia = float(machine.believed[0])
+    effect, parameter = ("payload", "mass_kg") if linear else ("inertia_error", "inertia_kg_m2")
+    inertia = float(values[0] + values[machine.place(effect, parameter, None)[0]])
     speed, place = ("m/s", "m") if linear else ("rad/s", "rad")
     quantities = (
         Quantity("speed", speed, lambda x, d, t, i: x[:, 0]),
