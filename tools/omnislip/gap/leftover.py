@@ -92,7 +92,12 @@ def dictionary(machine: Machine) -> list[Term]:
     ]
     terms += [Term("gyro", name, (), shape, (GYRO,)) for name, shape in GYRO_SHAPES.items()]
     terms += [
-        Term("every encoder", name, (), shape, (0, 1, 2, 3)) for name, shape in ANGLE_SHAPES.items()
+        Term(equation, name, (), shape, outputs)
+        for equation, outputs in {
+            "every encoder/angle": (0, 1, 2, 3),
+            **{f"encoder/{i + 1}/angle": (i,) for i in range(4)},
+        }.items()
+        for name, shape in {**ANGLE_SHAPES, **TWICE_SHAPES}.items()
     ]
     terms += [Term("body/moment", name, (10,), shape) for name, shape in YAW_SHAPES.items()]
     for axis, state in (("x", 8), ("y", 9)):
@@ -232,6 +237,11 @@ NULL_SPACE_SHAPES: dict[str, Callable[..., Array]] = {
 ANGLE_SHAPES: dict[str, Callable[..., Array]] = {
     "sine of the shaft angle": lambda x, d, t, i: np.sin(x[:, 4 + i]),
     "cosine of the shaft angle": lambda x, d, t, i: np.cos(x[:, 4 + i]),
+}
+
+
+TWICE_SHAPES = {
+    f"{name} of twice the shaft angle": shape for name, shape in _order_shapes(2).items()
 }
 
 

@@ -1,0 +1,57 @@
+"""What is left though no effect explains it: a term of the dictionary says where."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from omnislip.gap.inference import Data, fit
+from omnislip.gap.leftover import dictionary, find_leftover
+from omnislip.gap.machine import Machine
+from omnislip.gap.noise import tune_noise
+from omnislip.gap.recordings import make_run, unwrap_counts
+from omnislip.gap.search import believed_hypothesis
+from omnislip.gap.truth import TruthCase, generate
+from omnislip.log_file import Log
+from omnislip.model_file import NOMINAL_ROBOT, read_model
+
+MACHINE = Machine(read_model(NOMINAL_ROBOT))
+
+
+@pytest.fixture(scope="module")
+def logs():
+    case = TruthCase(seed=8, runs=4, run_duration_s=3.0, base_offset_sd=0.0)
+    return [
+        Log(name, log["t_s"].to_numpy(), {c: log[c].to_numpy(float) for c in log.columns[1:]})
+        for name, log in zip(case.run_names(), generate(case)[0], strict=True)
+    ]
+
+
+def left_in(logs):
+    runs = [make_run(MACHINE, log) for log in logs]
+    start = believed_hypothesis(MACHINE)
+    data = Data(MACHINE, runs, tune_noise(MACHINE, runs, MACHINE.believed), start)
+    return find_leftover(data, fit(data, start))
+
+
+def rippling(log, wheel, order):
+    """An encoder that shows a + 0.02 sin(order a) rad."""
+    name, per_rad = f"wheel/{wheel}/encoder_counts", 2000 / (2 * np.pi)
+    counts = unwrap_counts(log.columns[name])
+    shown = np.round(counts + 0.02 * per_rad * np.sin(order * counts / per_rad))
+    return replace(log, columns=log.columns | {name: shown})
+
+
+def test_nothing_is_left_where_nothing_is_missing(logs):
+    assert left_in(logs) == []
+
+
+@pytest.mark.parametrize(("wheel", "order", "angle"), [(3, 2, "twice the"), (2, 1, "the")])
+def test_one_encoder_that_ripples_is_named(logs, wheel, order, angle):
+    found = left_in([rippling(log, wheel, order) for log in logs])
+    assert found[0].equation == f"encoder/{wheel}/angle"
+    assert found[0].dependence == f"sine of {angle} shaft angle"
+
+
+def test_terms_have_names_of_their_own():
+    names = [(term.equation, term.dependence) for term in dictionary(MACHINE)]
+    assert len(set(names)) == len(names)
