@@ -869,7 +869,6 @@ def _table_json(table: GapTable) -> dict[str, Any]:
         "channels": channels,
         "closed_fraction": asdict(closed),
         "noise_floor_source": table.floor_source,
-        "excess_over_predicted_floor": asdict(table.expected),
     }
 
 

@@ -78,8 +78,6 @@ class GapTable:
     floor_source: str
     closed: Closed
     left: Left
-    expected: Left
-    """The same over all runs, fitted ones too, in what the predictor's noise would leave."""
     runs: tuple[str, ...]
 
 
@@ -117,7 +115,7 @@ def gap_table(replays: Sequence[Replays], others: Sequence[Replays] = ()) -> Gap
     seen = [c for c in range(len(run.channels)) if any(_sampled(r, c) for r in replays)]
     repetitions = _repetitions([*replays, *others])
     repeated = None if repetitions is None else _mean(repetitions, axis=0)
-    estimated = _predicted_floor(replays)
+    estimated = _mean(np.stack([_mean_floor(pieces) for pieces in _by_run(replays)]), axis=0)
     floor = estimated if repeated is None else _repeated_floor(run, repeated, estimated)
     floor = floor[seen]
     source = PREDICTED if repeated is None else REPEATED
@@ -135,14 +133,8 @@ def gap_table(replays: Sequence[Replays], others: Sequence[Replays] = ()) -> Gap
         source,
         closed_fraction(replays, seen, floor),
         left,
-        left_over([*replays, *others], seen, _predicted_floor([*replays, *others])[seen]),
         tuple(r.run.name for r in replays),
     )
-
-
-def _predicted_floor(replays: Sequence[Replays]) -> Array:
-    """Mean square (channels,) that the predictor's noise gives to replays."""
-    return _mean(np.stack([_mean_floor(pieces) for pieces in _by_run(replays)]), axis=0)
 
 
 def _repeated_floor(run: Run, repeated: Array, estimated: Array) -> Array:
