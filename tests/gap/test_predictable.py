@@ -1,8 +1,10 @@
 """Chance cannot be predicted; a force that no term was made for can."""
 
 from dataclasses import replace
+from functools import partial
 
 import pytest
+from omnislip.gap import truth
 from omnislip.gap.find import LASTING_SHARE, PREDICTED_SHARE
 from omnislip.gap.machine import Machine
 from omnislip.gap.predictable import EQUATIONS, predictable_shares
@@ -42,6 +44,16 @@ def test_chance_cannot_be_predicted():
     assert {one.equation for one in found} == set(EQUATIONS)
     assert found[0].share < 0.05
     assert max(one.share for one in found if one.from_own_past) < LASTING_SHARE / 20
+
+
+@pytest.mark.parametrize("corner_hz", [3.0, 6.0])
+def test_chance_that_fades_slowly_is_chance(corner_hz, monkeypatch):
+    """Floors may push for longer than the predictor allows: 3 Hz tell a tenth of themselves."""
+    slow = partial(truth.coloured_noise, corner_hz=(corner_hz, corner_hz))
+    monkeypatch.setattr(truth, "coloured_noise", slow)
+    found = shares_of()
+    assert max(one.share for one in found if one.from_own_past) < 0.7 * LASTING_SHARE
+    assert max(one.share for one in found if not one.from_own_past) < 0.05
 
 
 def test_rounding_that_every_run_repeats_is_nothing_to_be_predicted():

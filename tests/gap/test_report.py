@@ -17,7 +17,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from omnislip.gap.events import Impact
-from omnislip.gap.find import Findings, Split, Step, to_json
+from omnislip.gap.find import Findings, Split, Step, one_digit, to_json, with_deviation
 from omnislip.gap.inference import Evidence, Fit, Hypothesis
 from omnislip.gap.leftover import Leftover
 from omnislip.gap.machine import Machine
@@ -447,6 +447,45 @@ def test_numbers_keep_three_digits(value):
     mantissa, _, power = text.partition(" × 10")
     exponent = int(power.translate(str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")) or "0")
     assert float(mantissa) * 10.0**exponent == pytest.approx(value, rel=5.001e-3)
+
+
+@pytest.mark.parametrize(
+    ("low", "value", "high", "text"),
+    [
+        (1.02993, 1.03003, 1.03013, "1.0299 1.0300 1.0301"),
+        (0.39, 0.42, 0.45, "0.390 0.420 0.450"),
+        (303.21, 303.47, 303.73, "303.2 303.5 303.7"),
+        (1.4761e-8, 1.4767e-8, 1.4773e-8, "1.4761 × 10⁻⁸ 1.4767 × 10⁻⁸ 1.4773 × 10⁻⁸"),
+        (-0.5, -0.1, 0.3, "−0.500 −0.100 0.300"),
+    ],
+)
+def test_an_interval_shows_however_narrow_it_is(low, value, high, text):
+    assert " ".join(format_number(one, high - low) for one in (low, value, high)) == text
+
+
+@pytest.mark.parametrize(
+    ("value", "deviation", "text"),
+    [
+        (1.03003, 1.0e-4, "1.0300 ± 0.0001"),
+        (0.99996, 0.096, "1.0 ± 0.1"),
+        (18.94, 6.2, "19 ± 6"),
+        (303.4, 21.0, "300 ± 20"),
+        (1.4767e-8, 5.6e-10, "1.48e-08 ± 6e-10"),
+        (-0.0941, 0.435, "-0.1 ± 0.4"),
+        (9.0, 0.0, "9 ± 0"),
+        (0.0, 0.2, "0.0 ± 0.2"),
+    ],
+)
+def test_a_size_is_written_to_the_first_digit_of_its_deviation(value, deviation, text):
+    assert with_deviation(value, deviation) == text
+
+
+@given(st.floats(-1e12, 1e12).filter(lambda x: abs(x) > 1e-12), st.floats(1e-6, 1e6))
+def test_writing_a_size_moves_it_by_half_of_that_digit_at_most(value, ratio):
+    deviation = abs(value) * ratio
+    written, _, _ = with_deviation(value, deviation).partition(" ± ")
+    digit = 10.0 ** np.floor(np.log10(float(one_digit(deviation))))
+    assert abs(float(written) - value) <= 0.5001 * digit
 
 
 @pytest.mark.parametrize("value", [None, float("nan"), float("inf")])

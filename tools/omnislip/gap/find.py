@@ -691,6 +691,18 @@ def one_digit(value: float) -> str:
     return f"{float(f'{value:.1g}'):g}"
 
 
+def with_deviation(value: float, deviation: float) -> str:
+    """Return 'value ± deviation', to the first digit of the deviation: 1.0300 ± 0.0001, 19 ± 6."""
+    if not 0 < deviation < np.inf:
+        return f"{value:.3g} ± {one_digit(deviation)}"
+    last = math.floor(math.log10(float(one_digit(deviation))))
+    if value == 0 or 1e-4 <= abs(value) < 1e5:
+        text = f"{round(value, -last):.{max(-last, 0)}f}"
+    else:
+        text = f"{value:.{max(math.floor(math.log10(abs(value))) - last, 0)}e}"
+    return f"{text} ± {one_digit(deviation)}"
+
+
 def _effect_words(machine: Machine, selected: Selected) -> str:
     candidate = selected.candidate
     sizes = []
@@ -698,7 +710,7 @@ def _effect_words(machine: Machine, selected: Selected) -> str:
         name = candidate.parameters[k].label
         unit = machine.unit(candidate.effect, name)
         half = 0.5 * float(np.ptp(selected.interval[k]))
-        value = f"{selected.values[k]:.3g} ± {one_digit(half)}"
+        value = with_deviation(float(selected.values[k]), half)
         sizes.append(
             f"{machine.file_parameter(name)} {value}" + (f" {unit}" if unit != "1" else "")
         )

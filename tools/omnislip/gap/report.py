@@ -71,7 +71,7 @@ def render(findings: Findings, command_line: str) -> str:
         lstrip_blocks=True,
     )
     environment.filters["number"] = format_number
-    environment.filters["one_digit"] = find.one_digit
+    environment.filters["with_deviation"] = find.with_deviation
     with mpl.rc_context(report_pictures.STYLE):
         return environment.get_template("report.html.j2").render(
             numbers=numbers,
@@ -95,14 +95,22 @@ def render(findings: Findings, command_line: str) -> str:
         )
 
 
-def format_number(value: float | None) -> str:
-    """Return three significant digits, with a power of ten where plain digits would be long."""
+def format_number(value: float | None, width: float = 0.0) -> str:
+    """Return three significant digits, with a power of ten where plain digits would be long.
+
+    More where an interval of this `width` would not show.
+    """
     if value is None or not np.isfinite(value):
         return "–"
+    digits = 3
+    half = 0.5 * width
+    if value and 0 < half < abs(value):
+        digits = max(digits, math.floor(math.log10(abs(value))) - math.floor(math.log10(half)) + 1)
     if value == 0 or 1e-4 <= abs(value) < 1e5:
-        text = f"{value:#.3g}" if abs(value) < 100 else f"{value:.0f}"
+        short = digits > 3 or abs(value) < 100
+        text = f"{value:#.{digits}g}".rstrip(".") if short else f"{value:.0f}"
         return text.replace("-", "−")
-    mantissa, exponent = f"{value:.2e}".split("e")
+    mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
     return f"{mantissa} × 10{str(int(exponent)).translate(SUPERSCRIPTS)}".replace("-", "−")
 
 

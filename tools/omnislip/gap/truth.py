@@ -277,9 +277,11 @@ def _run_log(case: TruthCase, plant: NDArray[np.void], index: int, command: Arra
     return _sample(case, plant, history, duty, sensor_rng)
 
 
-def coloured_noise(rng: np.random.Generator, rows: int) -> Array:
-    """(rows, 7) per millisecond, sd `PROCESS_NOISE_SD`, first order, corner 10 to 30 Hz."""
-    keep = np.exp(-2.0 * np.pi * rng.uniform(10.0, 30.0) * 1e-3)
+def coloured_noise(
+    rng: np.random.Generator, rows: int, corner_hz: tuple[float, float] = (10.0, 30.0)
+) -> Array:
+    """(rows, 7) per millisecond, sd `PROCESS_NOISE_SD`, first order, corner between two."""
+    keep = np.exp(-2.0 * np.pi * rng.uniform(*corner_hz) * 1e-3)
     white = rng.standard_normal((rows, PROCESS_NOISE_SD.size))
     drive = np.sqrt(1.0 - keep * keep)
     level, _ = lfilter([drive], [1.0, -keep], white, axis=0, zi=keep * white[:1])
