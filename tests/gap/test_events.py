@@ -62,6 +62,21 @@ def test_driving_hard_is_no_push(tmp_path, curve):
     assert found_in(tmp_path, friction_curve=curve) == []
 
 
+@pytest.mark.parametrize(
+    ("gain", "explained", "misfit", "confirmed"),
+    [
+        (1e3, 0.85, 5.0, True),
+        (1e3, 0.85, 27.0, False),  # something else happened
+        (1e5, 0.97, 27.0, True),  # a hard push that lasts
+        (1e5, 0.75, 5.0, False),  # wheels that break loose
+        (50.0, 0.97, 1.0, False),
+    ],
+)
+def test_the_plant_confirms_a_push(gain, explained, misfit, confirmed):
+    push = Impact("run_01", 1.0, np.ones(3), np.ones(3), 0.0, misfit, gain, explained)
+    assert push.confirmed == confirmed
+
+
 def test_an_impact_is_written_to_a_model_file_and_read_back(tmp_path):
     (impact,) = found_in(tmp_path, PUSHES[1])
     model = read_model(tmp_path / "robot.toml")

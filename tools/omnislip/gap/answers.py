@@ -18,9 +18,10 @@ change
     c^ = P c + u u'c / u'u
 
 what of c goes with something that could be foreseen. Residuals are r + c^ with r those of the
-model, so that squares, secants and tests are those of any other fit. (Soederstrom and Stoica,
-Instrumental variable methods for system identification, 1983; Wooldridge, Econometric analysis of
-cross section and panel data, chapter 5.)
+model, so that squares, secants and tests are those of any other fit. Several new parameters at
+once share one u, and may be exchanged for each other until the model is settled anew. (Soederstrom
+and Stoica, Instrumental variable methods for system identification, 1983; Wooldridge, Econometric
+analysis of cross section and panel data, chapter 5.)
 
 How a command moves within a row (rows.py) is no chance either, and what nobody foresaw of it goes
 on for some rows. It is taken out of r: w, what is changed by commands that rise at the rate of

@@ -52,8 +52,9 @@ LEAST_JUMP_M_S = 0.045
 MOST_JUMP_M_S = 2.5
 COMMAND_JUMP = 0.1
 """Change of a duty from row to row after which wheels may break loose."""
-MOST_MISFIT = 9.0
-"""A jump that leaves errors three times their standard deviation is not what happened."""
+MOST_MISFIT, ALONE = 9.0, 0.95
+"""A jump that leaves errors three times their standard deviation is not what happened; unless it
+explains such a share of a replay: a hard push that lasts 12 ms leaves five times."""
 APART_S = 0.3
 REPEATED_S = 0.02
 """Difference of the times of what repeats in another run."""
@@ -89,6 +90,12 @@ class Impact:
     what is beyond chance."""
     explained: float = 1.0
 
+    @property
+    def confirmed(self) -> bool:
+        """Whether the plant's own replay says that this happened."""
+        fits = self.misfit <= MOST_MISFIT or self.explained >= ALONE
+        return self.gain >= LEAST_RATIO and self.explained >= REPLAYED and fits
+
     def jump_m_s(self, machine: Machine) -> float:
         """Return the jump of a wheel's hub, at most."""
         speed = float(np.hypot(*self.impulse[:2])) / machine.believed[0]
@@ -117,9 +124,7 @@ def find_impacts(
                 filtered = track.state.reshape(len(run.t_s), -1)
                 impact = _size_up(machine, run, row, values, noise, filtered, jump[row])
                 least = max(LEAST_JUMP_M_S, _feigned_m_s(machine, run, row, values))
-                plausible = least <= impact.jump_m_s(machine) <= MOST_JUMP_M_S
-                confirmed = impact.gain >= LEAST_RATIO and impact.explained >= REPLAYED
-                if plausible and confirmed and impact.misfit <= MOST_MISFIT:
+                if impact.confirmed and least <= impact.jump_m_s(machine) <= MOST_JUMP_M_S:
                     impacts.append(impact)
     return without_repeated(runs, impacts)
 
