@@ -103,13 +103,17 @@ ALWAYS = {
     "optiodom_omni3": set(),
 }
 NEVER = {"bam_xl330": {"stribeck_friction"}}
-CLOSED = {"emps": 0.95, "bam_xl330": 0.9, "optiodom_omni4": 0.3, "optiodom_omni3": 0.8}
+CLOSED = {"emps": 0.95, "bam_xl330": 0.9, "optiodom_omni4": 0.25, "optiodom_omni3": 0.8}
 """Share of the gap on held-out runs that the names close at least."""
+REFUTED = {"optiodom_omni4": "pose_latency"}
+"""One delay would close 6 % more, but this recorder's circles show 0.02 s, its squares 0.1 s."""
 
 
 def test_the_names_close_the_gap_on_held_out_runs(case):
     name, _, _, everything = case
     assert everything["gap"]["closed_fraction"]["value"] > CLOSED[name]
+    named = everything["effects"] or everything["nearest"]
+    assert REFUTED.get(name) not in [effect["name"] for effect in named]
 
 
 @pytest.mark.parametrize("less", [every_second, half_the_rate])

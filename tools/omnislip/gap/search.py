@@ -553,6 +553,8 @@ def _try(
     progress: Progress,
 ) -> list[tuple[Trial, Fit]]:
     """Refit each candidate and judge it; best first."""
+    if not screened:
+        return []
     progress(f"step {step}: trying " + ", ".join(s.candidate.name for s in screened))
     results = []
     index = len(current.hypothesis.effects)
