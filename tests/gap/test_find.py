@@ -51,14 +51,22 @@ def selected(name, gain, inflation=1.0, variation=0.0, left=0.0):
     return Selected(candidate, np.ones(1), np.ones((1, 2)), evidence, (), 1.0, left)
 
 
-def verdict_of(effects, left=(), jolts=False, feigned_gain=0.0, table=None, trials=()):
+def verdict_of(
+    effects, left=(), jolts=False, feigned_gain=0.0, table=None, trials=(), keys_at_ends=0
+):
     """Verdict where without a table replays are as near as can be.
 
     `left` is the gain of a leftover term and what of it the shapes of effects cover.
     """
+    keys = ROBOT.base_parameters()
+    x = np.array([p.high if i < keys_at_ends else (p.low + p.high) / 2 for i, p in enumerate(keys)])
+    hypothesis = SimpleNamespace(base=keys, parameters=keys, x=x)
     left = [SimpleNamespace(gain=left[0], inflation=1.0, covered=left[1])] if left else []
     data = SimpleNamespace(feigned_gain=feigned_gain)
-    outcome = SimpleNamespace(selected=effects, leftover=left, trials=trials, data=data)
+    final = SimpleNamespace(hypothesis=hypothesis)
+    outcome = SimpleNamespace(
+        selected=effects, leftover=left, trials=trials, data=data, final=final
+    )
     table = table or SimpleNamespace(left=Left(0.0, 1.0), closed=Closed(1.0, 0.9, 1.1))
     return find._verdict(outcome, table, False, [], jolts)
 
@@ -87,6 +95,7 @@ def test_a_rest_that_a_controller_may_feign_is_none():
         ("repeated manoeuvres", 1.0, 0.5, "no_gap"),
         ("the predictor's noise", 20.0, 0.1, "no_gap"),
         ("the predictor's noise", 30.0, 0.1, "unknown_effect"),
+        ("the predictor's noise", 30.0, 20.0, "unknown_effect"),
         ("the predictor's noise", 30.0, np.inf, "no_gap"),
     ],
 )
@@ -131,6 +140,11 @@ def test_what_is_refused_is_something_where_it_gains_more_than_anything_feigns(
     )
     effects = [selected("coulomb_friction", named)] if named else []
     assert verdict_of(effects, feigned_gain=feigned_gain, trials=(refused,)) == verdict
+
+
+@pytest.mark.parametrize(("keys_at_ends", "verdict"), [(4, "no_gap"), (5, "unknown_effect")])
+def test_believed_keys_at_their_ends_are_no_model_that_explains_the_logs(keys_at_ends, verdict):
+    assert verdict_of([], keys_at_ends=keys_at_ends) == verdict
 
 
 def test_what_jolts_more_often_than_anybody_pushes_is_unknown():

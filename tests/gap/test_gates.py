@@ -141,6 +141,15 @@ MISTAKES = {
     "heading frozen": (lambda g: frozen(g, POSE[2:], 2.0, 4.0), "pose/theta_rad does not change"),
     "x dead": (lambda g: times(g, POSE[:1], 0.0), "pose/x_m does not change from 0.00"),
     "y dead": (lambda g: times(g, POSE[1:2], 0.0), "pose/y_m does not change from 0.00"),
+    "duty dead": (lambda g: times(g, ["wheel/3/duty"], 0.0), "wheel/3/duty is 0 in every row"),
+    "duty of another wheel": (
+        lambda g: spoilt(g, wheel__4__duty=g.columns["wheel/1/duty"]),
+        "wheel/4/duty is that of wheel 1",
+    ),
+    "encoder of another wheel": (
+        lambda g: spoilt(g, wheel__4__encoder_counts=g.columns[COUNTS[0]]),
+        "wheel/4/encoder_counts is that of wheel 1",
+    ),
     "encoder dead": (lambda g: times(g, [COUNTS[1]], 0.0), "wheel/2/encoder_counts stands still"),
 }
 
@@ -280,6 +289,18 @@ def test_a_single_false_pose_is_blanked(number, size_m, bearing):
     assert (checked.complaint, checked.cuts) == (None, [])
     blank = np.isnan(checked.logs[0].columns[POSE[0]]) & ~np.isnan(log.columns[POSE[0]])
     assert np.flatnonzero(blank).tolist() == [row]
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(10, 1700), st.sampled_from([-1e30, -20.0, 6.0, 1e3]))
+def test_a_single_false_turn_rate_is_blanked_and_told(row, rate_rad_s):
+    log = drive()
+    shown = log.columns["gyro/z_rad_s"].copy()
+    shown[row] += rate_rad_s
+    checked = check(MACHINE, [spoilt(log, gyro__z_rad_s=shown)])
+    assert (checked.complaint, checked.cuts) == (None, [])
+    assert np.flatnonzero(np.isnan(checked.logs[0].columns["gyro/z_rad_s"])).tolist() == [row]
+    assert checked.told == [f"run: false gyro/z_rad_s, not used: {log.t_s[row]:.3f} s"]
 
 
 @settings(max_examples=15, deadline=None)

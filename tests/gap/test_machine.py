@@ -183,10 +183,13 @@ def test_an_odometry_may_lack_what_its_wheels_and_its_camera_may_do(tmp_path):
 
 
 def amended(machine, entry, tmp_path):
-    """The model with one key 1 % up and the effect at 0.3, after a trip through its file."""
+    """The model with one key 1 % up and the effect at 0.1, 0.11, ..., after a trip to its file."""
     effect = Effect(
         entry["name"],
-        {machine.file_parameter(p["name"]): 0.3 for p in entry["parameters"]},
+        {
+            machine.file_parameter(p["name"]): 0.1 + 0.01 * k
+            for k, p in enumerate(entry["parameters"])
+        },
         {"single": 2}.get(entry["scope"]) if machine.kind == "robot" else None,
     )
     key = "robot.mass_kg" if machine.kind == "robot" else next(iter(machine.model.values))
@@ -202,8 +205,8 @@ def test_amended_robot_comes_back_from_its_file(entry, tmp_path):
     assert again.model.tolerance == ROBOT.model.tolerance
     expected = ROBOT.believed.copy()
     expected[ROBOT_KEYS.index(key)] *= 1.01
-    for parameter in entry["parameters"]:
-        expected[list(ROBOT.place(entry["name"], parameter["name"], effect.wheel))] = 0.3
+    for name, value in effect.parameters.items():
+        expected[list(ROBOT.place(entry["name"], name, effect.wheel))] = value
     np.testing.assert_allclose(again.believed, expected, rtol=1e-12)
 
 
@@ -218,7 +221,8 @@ def test_amended_axis_comes_back_from_its_file(entry, linear, tmp_path):
     )
     for parameter in entry["parameters"]:
         places = list(machine.place(entry["name"], parameter["name"], None))
-        np.testing.assert_array_equal(again.believed[places], 0.3)
+        value = effect.parameters[machine.file_parameter(parameter["name"])]
+        np.testing.assert_array_equal(again.believed[places], value)
 
 
 @pytest.mark.parametrize("order", [(None, 2), (2, None)])

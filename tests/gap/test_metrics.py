@@ -273,6 +273,16 @@ def test_repetitions_are_compared_over_the_times_that_both_have():
         np.testing.assert_allclose(table.floor, 0.3, rtol=0.15)
 
 
+def test_another_robot_with_the_same_commands_is_no_repetition():
+    noise = np.random.default_rng(5).normal(0.0, 0.3, (4, 600, 2))
+    noise[3] += 30.0 * np.sin(np.arange(600) / 50.0)[:, None]
+    runs = [piece(f"run_{k}", errors, 0, 600, SINE) for k, errors in enumerate(noise)]
+    for shown in (runs, runs[1:]):
+        table = gap_table(shown)
+        assert table.floor_source == "repeated manoeuvres"
+        np.testing.assert_allclose(table.floor, 0.3, rtol=0.2)
+
+
 def test_copies_of_a_run_do_not_say_that_there_is_no_chance():
     replays = three_runs(4.0, 3.0, 2.0, floor=0.25)[:1]
     table = gap_table(replays, replays)

@@ -13,6 +13,7 @@ from omnislip.gap.inference import Hypothesis
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import first_guess
 from omnislip.gap.plan import Limits, Question, Rehearsal
+from omnislip.gap.recordings import ROBOT_CHANNELS
 from omnislip.log_file import write_log
 from omnislip.model_file import NOMINAL_ROBOT, Effect, read_model, write_model
 from omnislip.scenario import read_scenario
@@ -211,6 +212,57 @@ def test_a_gap_json_asks_for_what_is_ambiguous_of_the_nearest_too(tmp_path):
     assert planning.read_gap(path).names == ["payload", "cog_offset"]
 
 
+def unsure(name, *rivals, **more):
+    return {"name": name, "parameters": {}, "ambiguous_with": rivals} | more
+
+
+def test_a_gap_json_without_wheels_and_channels_means_all(tmp_path):
+    path = gap_file(tmp_path, [unsure("driver_lag", "actuation_delay")])
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"gap": {"channels": {}}}))
+    question = planning.read_gap(path)
+    assert question.names == ["driver_lag", "actuation_delay"]
+    assert question.channels == ROBOT_CHANNELS
+
+
+SIGNS = unsure("encoder_sign", "motor_sign (wheel 1); motor_sign (wheel 2)", wheel=1)
+PERMUTED = unsure(
+    "wheel_permutation", "encoder_sign (wheel 1)", parameters={"wheels": [2, 1, 3, 4]}
+)
+
+
+def test_what_cannot_be_driven_is_passed_over(tmp_path):
+    effects = [SIGNS, PERMUTED, unsure("payload", "slippery_patch", "cog_offset")]
+    assert planning.read_gap(gap_file(tmp_path, effects)).names == ["payload", "cog_offset"]
+
+
+def test_wiring_alone_cannot_be_planned_for(tmp_path):
+    with pytest.raises(
+        InputError, match=r"no manoeuvre.* encoder_sign \(wheel 1\) from motor_sign"
+    ):
+        planning.read_gap(gap_file(tmp_path, [SIGNS, PERMUTED]))
+
+
+MALFORMED = {
+    "no table": 1,
+    "no name": {"ambiguous_with": ["payload"], "parameters": {}},
+    "a text for a size": unsure("payload", "cog_offset", parameters={"mass_kg": {"value": "x"}}),
+    "a bare size": unsure("payload", "cog_offset", parameters={"mass_kg": 1.0}),
+    "a number for a name": unsure(3, "cog_offset"),
+    "a number for a rival": unsure("payload", 3),
+}
+
+
+@pytest.mark.parametrize("case", MALFORMED)
+def test_a_malformed_effect_is_named_as_such(case, tmp_path):
+    with pytest.raises(InputError, match=r"not a gap\.json as gap find writes it"):
+        planning.read_gap(gap_file(tmp_path, [MALFORMED[case]]))
+
+
+def test_logs_of_another_machine_cannot_be_planned_for():
+    with pytest.raises(InputError, match="none of the channels of a robot"):
+        planning.plan(MODEL, Question(PAIR, {}, ("axis/position_m",)), Limits(), silent)
+
+
 @pytest.mark.parametrize("text", ["", "{", "[]", '{"effects": 3}', '{"effects": [], "gap": null}'])
 def test_a_gap_json_without_a_question_is_refused(text, tmp_path):
     (tmp_path / "gap.json").write_text(text)
@@ -221,6 +273,18 @@ def test_a_gap_json_without_a_question_is_refused(text, tmp_path):
 def test_an_unknown_effect_is_refused_with_the_nearest():
     with pytest.raises(InputError, match=r"driver_lagg.*did you mean 'driver_lag'"):
         planning.plan(MODEL, Question(["driver_lagg", "dead_zone"]), Limits(), silent)
+
+
+def test_few_of_the_known_effects_are_shown():
+    with pytest.raises(InputError) as refused:
+        planning.plan(MODEL, Question(["foo", "dead_zone"]), Limits(), silent)
+    assert "unknown effect 'foo'; did you mean" in str(refused.value)
+    assert len(str(refused.value)) < 200
+
+
+def test_an_effect_of_one_wheel_needs_the_wheel():
+    with pytest.raises(InputError, match=r"'weak_motor \(wheel 1\)' to 'weak_motor \(wheel 4\)'"):
+        planning.plan(MODEL, Question(["weak_motor", "dead_zone"]), Limits(), silent)
 
 
 def test_one_effect_is_no_question():

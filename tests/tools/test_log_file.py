@@ -55,6 +55,16 @@ def test_blank_optional_cells_are_not_a_number(tmp_path):
     np.testing.assert_array_equal(log.columns["pose/x_m"], [0.5, np.nan, np.nan, np.nan])
 
 
+@pytest.mark.parametrize("end", ["\n", "\n\n", ",,\n"])
+def test_blank_lines_at_the_end_are_no_rows(end, write):
+    assert len(read_log(write("bench.csv", AXIS + end), "axis").t_s) == 3
+
+
+def test_a_long_cell_is_cut(tmp_path):
+    path = robot_csv(tmp_path, "wheel/1/encoder_counts", ["0", "x" * 5000, "0"])
+    assert len(error_of(path, "robot")) < len(str(path)) + 120
+
+
 def test_odometry_log_has_as_many_wheels_as_columns(write):
     rows = "0.0,0,0,0,0.0,0.0,0.0\n0.1,5,5,5,,,\n0.2,9,9,9,0.1,0.0,0.0\n"
     log = read_log(write("run.csv", ODOMETRY_HEADER + rows), "odometry")
@@ -71,6 +81,7 @@ def test_odometry_needs_poses(write):
 # Column of a robot log, its cells, words the error line must contain.
 BAD_CELLS = {
     "text": ("wheel/2/duty", ["0", "x1", "0"], ["line 3", "wheel/2/duty", "'x1'"]),
+    "underscores": ("wheel/2/duty", ["0", "0_0.5", "0"], ["line 3", "'0_0.5'"]),
     "blank duty": ("wheel/1/duty", ["0", "0", ""], ["line 4", "wheel/1/duty", "every row"]),
     "nan duty": ("wheel/1/duty", ["nan", "0", "0"], ["line 2", "wheel/1/duty", "every row"]),
     "infinite duty": ("wheel/1/duty", ["0", "inf", "0"], ["line 3", "finite"]),
@@ -93,7 +104,7 @@ BAD_FILES = {
     "no header": ("0.0,1.0,2.0\n0.1,1.0,2.0\n", ["first column must be 't_s'", "'0.0'"]),
     "time not first": (AXIS.replace("t_s,axis/command", "axis/command,t_s"), ["first column"]),
     "semicolons": (AXIS.replace(",", ";"), ["'t_s;axis/command", "commas separate columns"]),
-    "comment line": ("# bench\n" + AXIS, ["first column must be 't_s'", "# bench"]),
+    "comment line": ("# bench\n" + AXIS, ["must be 't_s'", "# bench", "no comment lines"]),
     "column missing": (AXIS.replace("axis/position_m", "axis/speed_m_s"), ["axis/position_m"]),
     "column doubled": (AXIS.replace("position_m", "command"), ["axis/command", "twice"]),
     "row too long": (AXIS + "0.3,1,2,3\n", ["line 5"]),
@@ -123,8 +134,10 @@ def test_files_that_are_no_logs(tmp_path, write):
     assert ".csv or .parquet" in error_of(tmp_path / "run.xlsx", "axis")
     assert "not a .parquet log" in error_of(write("run.parquet", AXIS), "axis")
     assert "empty; a header row" in error_of(write("run.parquet", ""), "axis")
-    (tmp_path / "latin.csv").write_bytes(b"t_s,\xe9\n0,1\n1,2\n")
-    assert "not a .csv log" in error_of(tmp_path / "latin.csv", "axis")
+    for name, content in {"latin": b"t_s,\xe9\n0,1\n1,2\n", "wide": AXIS.encode("utf-16")}.items():
+        (tmp_path / f"{name}.csv").write_bytes(content)
+        message = error_of(tmp_path / f"{name}.csv", "axis")
+        assert "not a .csv log: it must be text in UTF-8" in message
 
 
 def test_bad_row_of_a_parquet_log_is_named(tmp_path):

@@ -1,15 +1,19 @@
 """robot.toml: what is read is what was written, and every mistake is named."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from omnislip import _core
 from omnislip.errors import InputError
+from omnislip.gap.truth_effects import EFFECTS, draw_effect
 from omnislip.model_file import (
     ACUTE,
+    ADDED_TO,
     ANGLES,
     COUNT,
     NOMINAL_ROBOT,
@@ -17,6 +21,7 @@ from omnislip.model_file import (
     ROBOT_KEYS,
     TRANSLATING_AXIS_KEYS,
     TURNING_AXIS_KEYS,
+    WIRING,
     Effect,
     Model,
     axis_names,
@@ -45,6 +50,11 @@ def test_tolerance_of_a_key_falls_back_to_the_default():
     model = read_model(NOMINAL_ROBOT)
     assert model.tolerance_of("robot.wheel_radius_m") == 0.002
     assert model.tolerance_of("robot.mass_kg") == 0.02
+
+
+def test_a_file_that_an_editor_marked_as_utf_8_is_read(tmp_path, robot_text):
+    (tmp_path / "robot.toml").write_text(robot_text, encoding="utf-8-sig")
+    assert read_model(tmp_path / "robot.toml").values == read_model(NOMINAL_ROBOT).values
 
 
 def test_kind_axis_and_odometry(write):
@@ -81,6 +91,28 @@ def test_a_translating_axis_has_forces_not_torques(write):
     assert "'torque_nm'; did you mean 'force_n'" in error_of(write("axis.toml", AXIS + torque))
 
 
+def test_impulses_left_out_of_an_impact_are_0(write, robot_text):
+    text = robot_text + "[[effects.impact]]\nrun = 'run_1'\ntime_s = 1.5\nimpulse_x_n_s = 2.0\n"
+    [effect] = read_model(write("robot.toml", text)).effects
+    assert list(effect.parameters.values()) == [1.5, 2.0, 0.0, 0.0]
+
+
+@pytest.mark.parametrize("name", sorted(EFFECTS.keys() - WIRING))
+def test_no_size_that_the_generator_hides_is_a_mistake(name, tmp_path):
+    generator = np.random.default_rng(0)
+    for _ in range(20):
+        hidden = draw_effect(generator, name, "run_01")
+        effect = Effect(name, hidden.parameters, hidden.wheel, hidden.run)
+        model = replace(read_model(NOMINAL_ROBOT), effects=[effect])
+        write_model(model, tmp_path / "robot.toml")
+        assert read_model(tmp_path / "robot.toml").effects == [effect]
+
+
+def test_the_command_of_an_axis_has_its_dead_zone_in_volt(write):
+    text = AXIS + "[[effects.dead_zone]]\nduty = 1.5\n"
+    assert read_model(write("axis.toml", text)).effects == [Effect("dead_zone", {"duty": 1.5})]
+
+
 # Text to replace in the nominal robot file, its replacement, words the error line must contain.
 MISTAKES = {
     "unknown key": ("mass_kg = 20.0", "mass_kg = 20.0\nheight_m = 1.0", ["robot.height_m"]),
@@ -91,6 +123,8 @@ MISTAKES = {
     "text for number": ("= 20.0", '= "20"', ["robot.mass_kg", "number"]),
     "truth for number": ("= 20.0", "= true", ["robot.mass_kg", "number"]),
     "not finite": ("= 20.0", "= nan", ["robot.mass_kg", "finite"]),
+    "huge": ("= 20.0", "= 1" + 400 * "0", ["robot.mass_kg", "finite"]),
+    "huge text": ("= 20.0", "= 1" + 5000 * "0", ["not valid TOML"]),
     "zero mass": ("= 20.0", "= 0", ["robot.mass_kg", "greater than 0"]),
     "negative friction": ("= 1.5e-5", "= -1.0", ["motor.viscous_friction_nm_s", "0 or more"]),
     "broken count": ("= 2000", "= 2000.5", ["encoder.counts_per_rev", "whole number"]),
@@ -128,6 +162,22 @@ EFFECT_MISTAKES = {
     "[[effects.encoder_sign]]\nwheel = 7": ["effects.encoder_sign.wheel", "1 to 4"],
     "[[effects.motor_sign]]\nscale = 1.0": ["scale", "motor_sign"],
     "[[effects.force_offset]]\nforce = 1.0": ["force_offset", "kind 'robot'"],
+    "[[effects.dead_zone]]\nduty = -5": [
+        "effects.dead_zone.duty",
+        "0 or more and less than 1, not",
+    ],
+    "[[effects.actuation_delay]]\ndelay_s = -0.1": ["actuation_delay.delay_s", "0 or more"],
+    "[[effects.actuation_delay]]\ndelay_s = 5.0": ["actuation_delay.delay_s", "less than 1, not 5"],
+    "[[effects.current_limit]]\nlimit_a = -3": ["limit_a", "greater than 0, not -3"],
+    "[[effects.current_limit]]\nlimit_a = inf": ["limit_a", "finite"],
+    "[[effects.encoder_dropout]]\nwheel = 1\nfraction = 1.1": ["fraction", "and 1 or less"],
+    "[[effects.low_grip]]\nscale = 0": ["effects.low_grip.scale", "greater than 0"],
+    "[[effects.shaft_compliance]]\nstiffness_nm_rad = 0": ["stiffness_nm_rad", "greater than 0"],
+    "[[effects.payload]]\nmass_kg = -20": ["effects.payload.mass_kg", "greater than -20"],
+    "[[effects.motor_inertia_error]]\ninertia_kg_m2 = -3e-5": ["greater than -2.5e-05"],
+    "[[effects.cog_offset]]\nx_m = 0.2": ["cog_offset.x_m", "greater than -0.2 and less than 0.2"],
+    "[[effects.slippery_patch]]\nx_min_m = 0.5\nx_max_m = 0.2": ["x_min_m", "less than x_max_m"],
+    "[[effects.impact]]\nrun = 'run_1'\nimpulse_x_n_s = 1.0": ["impact", "time_s"],
 }
 AXIS_MISTAKES = {
     "mass and inertia": ("mass_kg = 1.0", "mass_kg = 1.0\ninertia_kg_m2 = 1", ["axis.mass_kg"]),
@@ -221,14 +271,25 @@ def axis_values(keys: dict[str, str]) -> st.SearchStrategy:
     return st.tuples(values_of(others, (0, 0)), one_gain).map(lambda parts: parts[0] | parts[1])
 
 
+def is_no_empty_patch(sizes: dict[str, float]) -> bool:
+    return all(
+        sizes.get(f"{axis}_min_m", -math.inf) < sizes.get(f"{axis}_max_m", math.inf)
+        for axis in "xy"
+    )
+
+
 def effects_of(kind: str, own_names: dict[str, str]) -> st.SearchStrategy:
     def one(entry: dict) -> st.SearchStrategy:
-        names = [own_names.get(p["name"], p["name"]) for p in entry["parameters"]]
+        low = 0.0 if entry["name"] in ADDED_TO else -1e9
+        sizes = {
+            own_names.get(p["name"], p["name"]): st.floats(max(p["low"], low), min(p["high"], 1e9))
+            for p in entry["parameters"]
+        }
         wheels = {"single": st.integers(1, 3), "common or single": st.none() | st.integers(1, 3)}
         return st.builds(
             Effect,
             st.just(entry["name"]),
-            st.dictionaries(st.sampled_from(names), st.floats(-1e9, 1e9)),
+            st.fixed_dictionaries({}, optional=sizes).filter(is_no_empty_patch),
             wheels.get(entry["scope"], st.none()),
         )
 

@@ -84,14 +84,26 @@ BAD = {
     "an import": (table(expression="__import__('os')"), "calls '__import__'"),
     "an attribute": (table(expression="a.real * b"), "cannot contain 'a.real'"),
     "a text": (table(expression="a * b * 'x'"), "cannot contain"),
+    "a pair of conditions": (
+        table(expression="a * b if W > 0 and W < 3 else 0"),
+        "cannot contain 'W > 0 and W < 3': a condition compares two values",
+    ),
+    "a chain": (table(expression="a * b if 0 < W < 3 else 0"), "a condition compares two values"),
+    "a negation": (table(expression="a * b if not W < 3 else 0"), "a condition compares two"),
+    "named values": (table(expression="a * b * max(W, 1, key=1)"), "give them without names"),
+    "an open bracket": (table(expression="a * (b"), "is no expression: '(' was never closed"),
+    "a huge power": (table(expression="a * b * 9**9**9**9"), "a number too large?"),
+    "a huge number": (table(expression=f"a * b * {'9' * 400}"), "a number that is too large"),
     "too many values": (table(expression="a * b * abs(W, W)"), "gives abs 2 values, it takes 1"),
     "an unused parameter": (table(expression="-a * W"), "does not use the parameter 'b'"),
     "not 0 when neutral": (table(expression="(1 + a) * b"), "must be 0 when every size"),
-    "no number": (table(expression="a * sqrt(W - 100) * b"), "is no number for some motions"),
+    "no number": (table(expression="a * sqrt(W - 100) * b"), "is no number at standstill or for"),
+    "no number at standstill": (table(expression="a * b / W"), "is no number at standstill"),
     "always 0": (table(expression="a * b * 0"), "stays 0"),
     "no place": (table(adds_to="shaft_torque"), "adds_to' must be one of duty, supply_v"),
     "an unknown key": (table(units="N"), "unknown key in"),
     "a wrong wheel": (table(wheels=3), "must be one of all, one, all or one"),
+    "a list of wheels": (table(wheels=["all"]), "must be one of all, one, all or one"),
     "wheels of the body": (
         {"adds_to": "body_torque_nm", "expression": "a", "parameters": A, "wheels": "all"},
         "remove 'wheels'",
@@ -117,6 +129,14 @@ BAD = {
         table(parameters={"W": {"unit": "1", "typical": 1.0}}, expression="W"),
         "'W' cannot be the name of a parameter",
     ),
+    "a name of another alphabet": (
+        table(parameters={"µ": {"unit": "1", "typical": 1.0}}, expression="µ"),
+        "ASCII letters, digits and _ only",
+    ),
+    "a word of the language": (
+        table(parameters={"lambda": {"unit": "1", "typical": 1.0}}, expression="lambda"),
+        "'lambda' cannot be the name of a parameter",
+    ),
     "too deep": (
         table(expression="a * b * " + "(W + " * 20 + "W" + ")" * 20),
         "nested too deeply",
@@ -141,6 +161,18 @@ def test_a_name_of_the_catalogue_is_refused():
         read_entries({"payload": table()}, "robot", PATH)
 
 
+@pytest.mark.parametrize("name", ["impact", "encoder_sign", "motor_sign", "wheel_permutation"])
+def test_a_name_that_model_files_know_is_refused(name):
+    with pytest.raises(InputError, match=f"define.{name}': there is an effect of that name"):
+        with_definitions(read_model(NOMINAL_ROBOT), {name: table()}, PATH)
+
+
+@pytest.mark.parametrize("name", ["réib", "my-drag", "2nd"])
+def test_a_name_that_cannot_be_read_back_is_refused(name):
+    with pytest.raises(InputError, match=f"define.{name}': a name has ASCII letters"):
+        read_entries({name: table()}, "robot", PATH)
+
+
 def test_an_axis_has_no_wheels_to_grip():
     with pytest.raises(InputError, match="must be one of duty, shaft_torque_nm"):
         read("axis", adds_to="mu_drive")
@@ -153,6 +185,12 @@ def test_a_file_without_effects_is_refused(tmp_path):
     (tmp_path / "own.toml").write_text("")
     with pytest.raises(InputError, match="defines no effect"):
         read_definitions(tmp_path / "own.toml")
+
+
+def test_a_program_is_no_file_of_effects(tmp_path):
+    (tmp_path / "own.py").write_text("def drag(W):\n    return W**3\n")
+    with pytest.raises(InputError, match="defined in TOML only"):
+        read_definitions(tmp_path / "own.py")
 
 
 def test_a_name_defined_twice_is_refused():

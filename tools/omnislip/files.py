@@ -1,8 +1,8 @@
 """Files of the user: TOML read strictly, results written whole or not at all."""
 
 import difflib
-import math
 import os
+import sys
 import tempfile
 import tomllib
 from collections.abc import Iterable, Iterator
@@ -16,12 +16,12 @@ from omnislip.errors import InputError
 def load_toml(path: Path) -> dict[str, Any]:
     """Return the parsed file. InputError names the file and, for bad syntax, the line."""
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))  # some editors mark UTF-8
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:
         raise InputError(f"{path}: not a text file in UTF-8") from None
-    except tomllib.TOMLDecodeError as error:
+    except ValueError as error:  # of TOML, or of Python for a number of thousands of digits
         raise InputError(f"{path}: not valid TOML: {error}") from None
 
 
@@ -53,8 +53,8 @@ def check_number(value: object, where: str, path: Path) -> float:
     """Return `value` as float if it is a finite number, else raise InputError."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise InputError(f"{path}: '{where}' must be a number, not {value!r}")
-    if not math.isfinite(value):
-        raise InputError(f"{path}: '{where}' must be finite, not {value}")
+    if not abs(value) <= sys.float_info.max:
+        raise InputError(f"{path}: '{where}' must be finite, not {value!r:.40}")
     return float(value)
 
 

@@ -69,7 +69,11 @@ def read_log(path: Path | str, kind: str | None) -> Log:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
     except pd.errors.EmptyDataError:
         raise InputError(f"{path}: empty; a header row is expected, first column 't_s'") from None
-    except (UnicodeDecodeError, ValueError) as error:
+    except UnicodeDecodeError:
+        raise InputError(
+            f"{path}: not a .csv log: it must be text in UTF-8 whose first line is the header"
+        ) from None
+    except ValueError as error:
         # pandas and pyarrow say in the first line what they met and where.
         raise InputError(f"{path}: not a {suffix} log: {str(error).splitlines()[0]}") from None
     kind = kind or _kind_of(list(frame.columns))
@@ -144,13 +148,17 @@ def _read_csv(path: Path) -> pd.DataFrame:
     _check_first_column(header, path)
     rows = pd.read_csv(path, **as_text).iloc[1:].reset_index(drop=True)
     rows.columns = header
-    return rows
+    # Editors and spreadsheets leave blank lines at the end.
+    filled = np.flatnonzero((rows != "").any(axis="columns"))
+    return rows.iloc[: filled[-1] + 1 if filled.size else 0]
 
 
 def _check_first_column(names: list[str], path: Path) -> None:
     first = names[0] if names else ""
     if first != "t_s":
         hint = "; commas separate columns" if ";" in first or "\t" in first else ""
+        if first.startswith("#"):
+            hint = "; a log has no comment lines"
         raise InputError(f"{path}: the first column must be 't_s', not '{first[:40]}'{hint}")
 
 
@@ -200,9 +208,11 @@ def _number(cell: object, row: int, name: str, locate: Locate) -> float:
     if isinstance(cell, str) and not cell.strip():
         return np.nan
     try:
+        if "_" in str(cell):  # Python takes 1_0 for 10
+            raise ValueError
         return float(cell)  # type: ignore[arg-type]
     except (TypeError, ValueError):
-        raise InputError(f"{locate(row)}: '{name}' must be a number, not {cell!r}") from None
+        raise InputError(f"{locate(row)}: '{name}' must be a number, not {cell!r:.40}") from None
 
 
 def _check_sampled(values: Array, name: str, locate: Locate) -> None:

@@ -117,6 +117,13 @@ MIN_ODOMETRY_WHEELS, MAX_ODOMETRY_WHEELS = 3, 8
 WIRING = ("wheel_permutation", "encoder_sign", "motor_sign")
 # A push in one run, world frame, at the centre of gravity: the log is cut there.
 IMPACT_KEYS = ("time_s", "impulse_x_n_s", "impulse_y_n_s", "impulse_theta_n_m_s")
+# Effects that are added to a mass or an inertia, and the keys of which one holds it: something of
+# it must be left.
+ADDED_TO = {
+    "payload": ("robot.mass_kg", "axis.mass_kg", "axis.inertia_kg_m2"),
+    "inertia_error": ("robot.inertia_kg_m2", "axis.inertia_kg_m2", "axis.mass_kg"),
+    "motor_inertia_error": ("motor.inertia_kg_m2",),
+}
 
 
 @dataclass(frozen=True)
@@ -206,7 +213,7 @@ def parse_model(data: Mapping[str, Any], path: Path) -> Model:
     if not isinstance(name, str):
         raise InputError(f"{path}: '{kind}.name' must be a text, not {name!r}")
     values = _read_values(kind, data, path)
-    own_effects = read_entries(definitions, kind, path)
+    own_effects = _read_own_effects(definitions, kind, path)
     return Model(
         kind=kind,
         values=values,
@@ -232,7 +239,7 @@ def with_definitions(model: Model, tables: Mapping[str, Any], path: Path) -> Mod
     if doubled:
         raise InputError(f"{path}: '{doubled[0]}' is defined in {model.path} already")
     definitions = model.definitions | dict(tables)
-    own_effects = [*model.own_effects, *read_entries(tables, model.kind, path)]
+    own_effects = [*model.own_effects, *_read_own_effects(tables, model.kind, path)]
     return replace(model, definitions=definitions, own_effects=own_effects)
 
 
@@ -370,6 +377,13 @@ def _read_tolerance(
     return tolerance
 
 
+def _read_own_effects(tables: Mapping[str, Any], kind: str, path: Path) -> list[dict[str, Any]]:
+    for name in (*WIRING, "impact"):
+        if name in tables:
+            raise InputError(f"{path}: 'define.{name}': there is an effect of that name already")
+    return read_entries(tables, kind, path)
+
+
 def _read_effects(
     tables: Mapping[str, Any],
     kind: str,
@@ -378,8 +392,6 @@ def _read_effects(
     path: Path,
 ) -> list[Effect]:
     catalogue = {entry["name"]: entry for entry in entries}
-    wheel_count = len(values.get(f"{kind}.wheel_angles_deg", []))
-    names = axis_names(values)
     check_known(tables, [*catalogue, *WIRING, "impact"], "effect", path)
     effects = []
     for name, occurrences in tables.items():
@@ -394,10 +406,7 @@ def _read_effects(
         entry = catalogue[name]
         if kind not in entry["kinds"]:
             raise InputError(f"{path}: effect '{name}' does not apply to a model of kind '{kind}'")
-        known = [
-            names.get(parameter["name"], parameter["name"]) for parameter in entry["parameters"]
-        ]
-        effects += [_read_effect(entry, known, table, wheel_count, path) for table in occurrences]
+        effects += [_read_effect(entry, table, kind, values, path) for table in occurrences]
     _check_once(effects, path)
     return effects
 
@@ -412,16 +421,65 @@ def _check_once(effects: list[Effect], path: Path) -> None:
 
 
 def _read_effect(
-    entry: dict[str, Any], known: list[str], table: object, wheel_count: int, path: Path
+    entry: dict[str, Any], table: object, kind: str, values: Mapping[str, Any], path: Path
 ) -> Effect:
     where = f"effects.{entry['name']}"
     table = dict(check_table(table, where, path))
+    names = axis_names(values)
+    known = {names.get(p["name"], p["name"]): p for p in entry["parameters"]}
+    wheel_count = len(values.get(f"{kind}.wheel_angles_deg", []))
     wheel = _read_wheel(table.pop("wheel", None), entry, wheel_count, path)
     if "run" in table:
         raise InputError(f"{path}: effect '{entry['name']}' acts on all runs; remove 'run'")
     check_known(table, known, f"parameter of effect '{entry['name']}'", path)
     numbers = {key: check_number(item, f"{where}.{key}", path) for key, item in table.items()}
+    for key, number in numbers.items():
+        limits = _natural_limits(entry["name"], known[key], kind, values)
+        _check_size(number, known[key], limits, f"{where}.{key}", path)
+    for low, high in (("x_min_m", "x_max_m"), ("y_min_m", "y_max_m")):
+        if numbers.get(low, -math.inf) >= numbers.get(high, math.inf):
+            raise InputError(f"{path}: '{where}.{low}' must be less than {high}")
     return Effect(entry["name"], numbers, wheel)
+
+
+def _natural_limits(
+    effect: str, parameter: dict[str, Any], kind: str, values: Mapping[str, Any]
+) -> tuple[float, float]:
+    """Return the limits next to the catalogue's bounds that no machine can pass.
+
+    The bounds are those of the search, for a robot about as big as the nominal one.
+    """
+    for key in ADDED_TO.get(effect, ()):
+        if key in values:
+            return -values[key], math.inf
+    reach = math.inf
+    # Shares, and delays: no part of a machine is a second late, but many a file says milliseconds.
+    # The command of an axis is no share, it may be in volt.
+    if parameter["unit"] in ("1", "s") and (kind, parameter["name"]) != ("axis", "duty"):
+        reach = 1.0
+    if effect == "cog_offset":  # beyond the wheels the robot falls over
+        reach = values["robot.wheel_distance_m"]
+    low = max(limit for limit in (-math.inf, -reach, 0.0) if limit <= parameter["low"])
+    return low, min(limit for limit in (0.0, reach, math.inf) if limit >= parameter["high"])
+
+
+def _check_size(
+    number: float, parameter: dict[str, Any], limits: tuple[float, float], where: str, path: Path
+) -> None:
+    """A limit belongs to what is right where the search goes as far."""
+    low, high = limits
+    rules = []
+    if low == parameter["low"] > -math.inf:
+        rules.append((number >= low, f"{low:g} or more"))
+    elif low > -math.inf:
+        rules.append((number > low, f"greater than {low:g}"))
+    if high == parameter["high"] < math.inf:
+        rules.append((number <= high, f"{high:g} or less"))
+    elif high < math.inf:
+        rules.append((number < high, f"less than {high:g}"))
+    if not all(holds for holds, _ in rules):
+        right = " and ".join(text for _, text in rules)
+        raise InputError(f"{path}: '{where}' must be {right}, not {number:g}")
 
 
 def _read_impact(name: str, table: object, path: Path) -> Effect:
@@ -430,10 +488,12 @@ def _read_impact(name: str, table: object, path: Path) -> Effect:
     if not isinstance(run, str):
         raise InputError(f"{path}: 'effects.impact.run' must be the name of a run, not {run!r}")
     check_known(table, IMPACT_KEYS, "parameter of effect 'impact'", path)
-    missing = [key for key in IMPACT_KEYS if key not in table]
-    if missing:
-        raise InputError(f"{path}: 'effects.impact' misses {', '.join(missing)}")
-    numbers = {key: check_number(table[key], f"effects.impact.{key}", path) for key in IMPACT_KEYS}
+    if "time_s" not in table:
+        raise InputError(f"{path}: 'effects.impact' misses time_s")
+    table = dict.fromkeys(IMPACT_KEYS, 0.0) | table
+    numbers = {
+        key: check_number(item, f"effects.impact.{key}", path) for key, item in table.items()
+    }
     return Effect(name, numbers, run=run)
 
 

@@ -17,12 +17,16 @@ ranked and reported like them. What `expression` may name depends on where it ac
 
 A parameter is a size, with `typical` (offset from `neutral`, default 0, that is worth looking for)
 and optional bounds `low`, `high`; or it shapes the effect, with `start`, a list of values to begin
-fits from. With all sizes neutral the expression must be 0. On an axis, shafts are the axis: W its
+fits from. With all sizes neutral the expression must be 0, and with typical ones it must be a
+number at standstill, where logs begin. On an axis, shafts are the axis: W its
 speed, th_m its position, d the command.
 """
 
 import ast
+import keyword
 import math
+import re
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -63,6 +67,7 @@ TARGETS = {
 SCOPES = {"all": "common", "one": "single", "all or one": "common or single"}
 KEYS = ("summary", "adds_to", "expression", "wheels", "parameters")
 PARAMETER_KEYS = ("unit", "typical", "neutral", "low", "high", "start")
+NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")  # a key of TOML without quotes, a name of Python
 MOST_EFFECTS = 16
 DEEPEST = 16
 
@@ -95,6 +100,8 @@ Program = list[tuple[str, Any]]
 def read_definitions(path: Path | str) -> dict[str, dict[str, Any]]:
     """Return the [define.NAME] tables of a file of effects, unchecked: read_entries checks them."""
     path = Path(path)
+    if path.suffix != ".toml":
+        raise InputError(f"{path}: effects are defined in TOML only, in a file that ends in .toml")
     data = load_toml(path)
     check_known(data, ["define"], "table", path)
     if not data:
@@ -118,8 +125,7 @@ def read_entries(tables: Mapping[str, Any], kind: str, path: Path) -> list[dict[
 def _read_entry(name: str, table: object, kind: str, path: Path) -> dict[str, Any]:
     where = f"define.{name}"
     table = check_table(table, where, path)
-    if not name.isidentifier():
-        raise InputError(f"{path}: '{where}': a name has letters, digits and _ only")
+    _check_name(name, where, path)
     if name in {entry["name"] for entry in _core.effects()}:
         raise InputError(f"{path}: '{where}': the catalogue has an effect of that name already")
     check_known(table, KEYS, f"key in [{where}]", path)
@@ -153,6 +159,13 @@ def _read_entry(name: str, table: object, kind: str, path: Path) -> dict[str, An
     }
 
 
+def _check_name(name: str, where: str, path: Path) -> None:
+    if not NAME.fullmatch(name):
+        raise InputError(
+            f"{path}: '{where}': a name has ASCII letters, digits and _ only, and no digit first"
+        )
+
+
 def _text(value: object, where: str, path: Path) -> str:
     if not isinstance(value, str) or not value.strip():
         raise InputError(f"{path}: '{where}' must be a text, not {value!r}")
@@ -175,7 +188,7 @@ def _read_scope(value: object, target: Target, where: str, path: Path) -> str:
         if value is not None:
             raise InputError(f"{path}: [{where}] acts on the whole machine; remove 'wheels'")
         return "whole"
-    if value is not None and value not in SCOPES:
+    if value is not None and value not in list(SCOPES):
         raise InputError(
             f"{path}: '{where}.wheels' must be one of {', '.join(SCOPES)}, not {value!r}"
         )
@@ -186,7 +199,8 @@ def _read_parameter(
     name: str, table: object, target: Target, where: str, path: Path
 ) -> dict[str, Any]:
     table = check_table(table, where, path)
-    if not name.isidentifier() or name in (*target.inputs, *FUNCTIONS, "pi", "wheel", "run"):
+    _check_name(name, where, path)
+    if keyword.iskeyword(name) or name in (*target.inputs, *FUNCTIONS, "pi", "wheel", "run"):
         raise InputError(f"{path}: '{where}': '{name}' cannot be the name of a parameter here")
     check_known(table, PARAMETER_KEYS, f"key in '{where}'", path)
     if ("typical" in table) == ("start" in table):
@@ -233,7 +247,8 @@ def _parse(expression: str, where: str, path: Path) -> ast.expr:
     try:
         return ast.parse(expression.strip(), mode="eval").body
     except (SyntaxError, ValueError, RecursionError) as error:
-        raise InputError(f"{path}: '{where}.expression' is no expression: {error}") from None
+        reason = getattr(error, "msg", error)  # without Python's word for place and line
+        raise InputError(f"{path}: '{where}.expression' is no expression: {reason}") from None
 
 
 class _Compiler:
@@ -265,8 +280,10 @@ class _Compiler:
         match node:
             case ast.Constant(value=bool()):
                 pass
-            case ast.Constant(value=int() | float() as value) if math.isfinite(value):
+            case ast.Constant(value=int() | float() as value) if value <= sys.float_info.max:
                 return [("constant", float(value))]
+            case ast.Constant(value=int() | float()):
+                raise self._error("contains a number that is too large")
             case ast.Name(id=name):
                 return self._name(name)
             case ast.UnaryOp(op=ast.USub(), operand=operand):
@@ -283,16 +300,27 @@ class _Compiler:
                 return [*self._of(a), *self._of(b), ("less", 0)]
             case ast.Compare(left=a, ops=[ast.Gt() | ast.GtE()], comparators=[b]):
                 return [*self._of(b), *self._of(a), ("less", 0)]
-            case ast.IfExp(test=ast.Compare() as test, body=body, orelse=orelse):
+            case ast.Compare(ops=[_, _, *_]) | ast.BoolOp() | ast.UnaryOp(op=ast.Not()):
+                raise self._error(
+                    f"cannot contain '{ast.unparse(node)}': a condition compares two values; for "
+                    f"more put one 'a if condition else b' into another"
+                )
+            case ast.IfExp(
+                test=(ast.Compare() | ast.BoolOp() | ast.UnaryOp(op=ast.Not())) as test,
+                body=body,
+                orelse=orelse,
+            ):
                 return [*self._of(test), *self._of(body), *self._of(orelse), ("where", 0)]
             case ast.Call(func=ast.Name(id=name), args=args, keywords=[]) if name in FUNCTIONS:
                 wanted = 2 if name in OF_TWO else 1
                 if len(args) != wanted:
                     raise self._error(f"gives {name} {len(args)} values, it takes {wanted}")
                 return [*(step for argument in args for step in self._of(argument)), (name, 0)]
+            case ast.Call(func=ast.Name(id=name)) if name in FUNCTIONS:
+                raise self._error(f"names the values of {name}; give them without names")
             case ast.Call(func=ast.Name(id=name)):
                 raise self._error(f"calls '{name}'{nearest(name, FUNCTIONS)}")
-        raise self._error(f"cannot contain '{ast.unparse(node)}'")
+        raise self._error(f"cannot contain '{ast.unparse(node):.80}'")
 
     def _name(self, name: str) -> Program:
         if name in self._parameters:
@@ -314,17 +342,21 @@ def _check_sizes(
     tree: ast.expr, target: Target, parameters: list[dict[str, Any]], where: str, path: Path
 ) -> None:
     """The term must vanish with its sizes and must not without, whatever the motion."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Constant):
+            node.value = float(node.value)  # of whole numbers Python would write out 9**9**9
     absent = {p["name"]: p["neutral"] for p in parameters}
     there = {p["name"]: p["neutral"] + p["typical"] for p in parameters}
     generator = np.random.default_rng(0)
+    still = dict.fromkeys(target.inputs, 0.0)
     samples = [
         dict(zip(target.inputs, row, strict=False)) for row in generator.normal(0.5, 1.0, (50, 12))
     ]
-    neutral = [_evaluate(tree, sample | absent) for sample in samples]
-    if not np.isfinite(neutral).all():
+    neutral = [_evaluate(tree, sample | absent) for sample in (still, *samples)]
+    if not np.isfinite([*neutral, _evaluate(tree, still | there)]).all():
         raise InputError(
-            f"{path}: '{where}.expression' is no number for some motions (root or logarithm of a "
-            f"negative, division by 0?)"
+            f"{path}: '{where}.expression' is no number at standstill or for some motions (root or "
+            f"logarithm of a negative, division by 0, a number too large?)"
         )
     if np.any(neutral):
         raise InputError(

@@ -53,6 +53,8 @@ def find(
         print(json.dumps(to_json(findings), indent=1, allow_nan=False))
         return
     print(findings.sentence)
+    for told in findings.recording:
+        print(told)
     if findings.table is not None:
         print_table(findings.table)
     print(f"report: {out / 'report.html'}   amended model: {out / 'robot.toml'}")

@@ -37,7 +37,7 @@ def evaluate_model(
 ) -> dict[str, Any]:
     """Return RMSE of one-second replays and noise floor per channel, in the log's units.
 
-    InputError for logs that `gap find` would refuse as well.
+    InputError for logs whose recording `gap find` would refuse as well.
     """
     model = read_model(model_path)
     logs = [mend(log, model.effects) for log in read_logs(log_paths, model.kind)]

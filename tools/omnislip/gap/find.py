@@ -11,13 +11,14 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.stats import binom, norm
 
 from omnislip import _core
 from omnislip.errors import InputError
 from omnislip.files import write_text
 from omnislip.gap.events import Impact, as_effect, find_impacts, known_pushes, pieces, too_often
 from omnislip.gap.gates import check, logged_set_points, rows_far_apart, too_poor
-from omnislip.gap.inference import Data, fit, prior_penalty
+from omnislip.gap.inference import Data, at_bound, fit, prior_penalty
 from omnislip.gap.inverse import relative_force_error
 from omnislip.gap.leftover import Leftover, find_shapes
 from omnislip.gap.machine import CURVE, EXTENSIONS, Machine
@@ -102,6 +103,9 @@ FAR_EXCESS = 24.0
 at most (150 nulls against repeated manoeuvres; the predictor's noise gives higher floors)."""
 SURE = 3.0
 """Standard errors by which an excess has to stand out."""
+KEY_AT_END, KEYS_BY_CHANCE = 2.0 * float(norm.sf(2.0)), 1e-3
+"""Chance that one believed key is two tolerances off; and that so many are, below which the model
+is wrong in something else."""
 LEAST_TIME_S = 3.0
 LEAST_TRAVEL = 20.0
 """Motion, in steps of the position sensor, below which nothing can be learned."""
@@ -163,6 +167,8 @@ class Findings:
     """What the gap looks like in the refitted model: nameless terms, each tried alone."""
     other_wirings: list[list[Effect]] = field(default_factory=list)
     """Wirings that these logs cannot tell from the one found."""
+    recording: list[str] = field(default_factory=list)
+    """What of the logs was mended, cut or not used, in sentences."""
 
 
 def find_gap(
@@ -181,9 +187,7 @@ def find_gap(
     progress(f"reading {len(log_paths)} logs")
     logs = [mend(log, model.effects) for log in read_logs(log_paths, model.kind)]
     machine = machine_for(model, logs)
-    unused = unused_columns(machine, logs)
-    if unused:
-        progress(f"not used: {', '.join(unused)}")
+    told = [f"{column}: not used" for column in unused_columns(machine, logs)]
     files = [path for path in (model_path, effects_path, *log_paths) if path is not None]
     inputs = {str(path): _sha256(path) for path in files}
     reason = _too_little(machine, logs)
@@ -193,7 +197,7 @@ def find_gap(
     wiring, *other_wirings = wirings = find_wirings(machine, logs)
     progress("checking the recording")
     checked = check(machine, [mend(log, wiring) for log in logs])
-    logs, cuts = checked.logs, checked.cuts
+    logs, cuts, told = checked.logs, checked.cuts, [*told, *checked.told]
     if checked.complaint:
         return _insufficient(machine, checked.complaint, inputs, wirings)
     progress("looking for impacts")
@@ -295,6 +299,7 @@ def find_gap(
         cautions,
         shapes,
         other_wirings,
+        told,
     )
 
 
@@ -338,7 +343,23 @@ def _verdict(
         return "unknown_effect"
     if jolts or any(_no_chance(one) for one in shares) or _varying(outcome.selected):
         return "unknown_effect"
+    if _keys_at_their_ends(outcome):
+        return "unknown_effect"
     return "effect_found" if outcome.selected or mended else "no_gap"
+
+
+def _keys_at_their_ends(outcome: Outcome) -> list[str]:
+    """Return the believed keys at the end of their range: more than chance, where nothing is named.
+
+    That takes five of thirteen; in 214 nulls three at most were there. They were pulled by what
+    the model lacks, and the noise holds the rest of it.
+    """
+    if outcome.selected:
+        return []
+    names = [p.label for p in outcome.final.hypothesis.base]
+    ends = [name for i, name in enumerate(names) if at_bound(outcome.final, i)]
+    chance = binom.sf(len(ends) - 1, len(names), KEY_AT_END)
+    return ends if chance < KEYS_BY_CHANCE else []
 
 
 def _missing_terms(outcome: Outcome) -> list[Leftover]:
@@ -412,10 +433,9 @@ def _much_is_left(table: GapTable) -> bool:
     """Whether replays of held-out runs stay clearly above the floor.
 
     With effects: they surely close less than `EXPLAINED` of the gap. Without: against repeated
-    manoeuvres, for the predictor's own noise takes a gap that nothing explains for chance; far
-    above in any case, for a held-out run may hold what no fitted one does. Where names leave what
-    comes and goes, few windows hold it and the mean is as uncertain as it is large: far above
-    counts there anyway.
+    manoeuvres, for the predictor's own noise takes a gap that nothing explains for chance. Far
+    above in any case, if more than one window says so: a held-out run may hold what no fitted one
+    does, and of what comes and goes the mean is as uncertain as it is large.
     """
     left, closed = table.left, table.closed
     if left.excess < LEAST_EXCESS:
@@ -423,7 +443,8 @@ def _much_is_left(table: GapTable) -> bool:
     far, sure = left.excess > FAR_EXCESS, left.excess >= SURE * left.standard_error
     if closed.high is not None:
         return (sure or far) and closed.high < EXPLAINED
-    return sure and (far or table.floor_source == REPEATED)
+    judged = left.standard_error < np.inf
+    return (far and judged) or (sure and table.floor_source == REPEATED)
 
 
 def _steps(
@@ -631,6 +652,11 @@ def _sentence(
         if _much_is_left(table):
             off = (1.0 + table.left.excess) ** 0.5
             text += f"; replays of held-out runs are {off:.2g} noise floors off"
+        if ends := _keys_at_their_ends(outcome):
+            text += (
+                f"; {len(ends)} of {len(outcome.final.hypothesis.base)} believed values would be "
+                f"more than two tolerances off ({', '.join(ends)})"
+            )
         if not (unknown or _missing_terms(outcome)) and shapes:
             like = shapes[0]
             text += f"; most of it looks like {like.equation}, depending on {like.dependence}"
@@ -767,6 +793,7 @@ def to_json(findings: Findings) -> dict[str, Any]:
             for s in findings.shapes
         ],
         "cautions": findings.cautions,
+        "recording": findings.recording,
         "predictable": [asdict(one) for one in findings.predictable],
         "unknown_curve": _curve_json(findings.unknown) if findings.unknown else None,
         "gap": _table_json(table) if table else None,

@@ -2,15 +2,16 @@
 
 What a log shows is compared with what its encoders say: J+ of eq. (3) turns their steps into a
 motion of the body, without a model of motors or friction. That is right but for slip, so only what
-no slip can do counts. A gate either mends a log (a pose that jumps for one picture is blanked),
-cuts it (a gap in time, a camera that starts anew somewhere else), or says in one sentence why the
-logs cannot be used as they are. Set-points in place of applied duties show last: a ramped duty has
-to explain the log far better than the logged one does with everything that was found for it.
+no slip can do counts. A gate either mends a log (a pose or turn rate that jumps for one sample is
+blanked), cuts it (a gap in time, a camera that starts anew somewhere else), or says in one sentence
+why the logs cannot be used as they are. Set-points in place of applied duties show last: a ramped
+duty has to explain the log far better than the logged one does with everything that was found for
+it.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from itertools import pairwise
+from dataclasses import dataclass, field, replace
+from itertools import combinations, pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -59,9 +60,14 @@ TURN_RAD, TURN_RAD_S = 0.15, 2.0
 NEIGHBOURS = 7
 """Pictures whose median motion counts: one that is false spoils two of six steps."""
 MOST_JUMPS = 0.05
+FALSE_RATE_RAD_S, FALSE_RATE_RAD_S2 = 1.0, 500.0
+"""No torque turns a body so fast, above its neighbours' median, for a sample and back: offset, and
+rate for the time between samples."""
 STILL_S = 0.3
 MOST_TURN_RAD = 0.5
 BLIND_DUTY = 0.15
+OTHER_MOTION = 0.5
+"""Share of RMS by which two wheels' speeds, or duties, differ if one is not the other's copy."""
 LEAST_WAY_M = 0.3
 """What never changes in a log is dead if the robot has gone as far as this."""
 OTHER_TRAVEL, OTHER_SPEED = 0.06, 0.15
@@ -80,26 +86,43 @@ class Checked:
     logs: list[Log]
     cuts: list[tuple[str, float]]
     complaint: str | None
+    told: list[str] = field(default_factory=list)
+    """What was mended and where it was cut, in sentences."""
 
 
 def check(machine: Machine, logs: Sequence[Log]) -> Checked:
     """Pass the logs of a robot through the gates; logs of an axis are only cut at their gaps."""
-    cuts = [(log.name, t) for log in logs for t in _gaps(log)]
-    if machine.kind != "robot":
-        return Checked(list(logs), cuts, None)
+    cuts, told = [], []
     for log in logs:
-        complaint = _complaint(machine, log)
-        if complaint:
-            return Checked(list(logs), cuts, f"{log.name}: {complaint}")
+        gaps_s = _gaps(log)
+        cuts += [(log.name, t) for t in gaps_s]
+        told += _told(log, "rows are missing, the log is cut there:", gaps_s)
+    if machine.kind != "robot":
+        return Checked(list(logs), cuts, None, told)
     mended = []
     for log in logs:
-        better, jumps, often = _without_jumps(log)
+        better, false_s = _without_false_rates(log)
+        complaint = _complaint(machine, better)
+        if complaint:
+            return Checked(list(logs), cuts, f"{log.name}: {complaint}")
+        told += _told(log, "false gyro/z_rad_s, not used:", false_s)
+        better, false_s, jumps_s, often = _without_jumps(better)
         if often:
             complaint = f"{log.name}: the pose jumps again and again, first at {often:.2f} s"
             return Checked(list(logs), cuts, complaint)
         mended.append(better)
-        cuts += [(log.name, t) for t in jumps]
-    return Checked(mended, cuts, _other_robot(machine, mended))
+        cuts += [(log.name, t) for t in jumps_s]
+        told += _told(log, "false pose, not used:", false_s)
+        told += _told(log, "the pose goes on from another place, the log is cut there:", jumps_s)
+    return Checked(mended, cuts, _other_robot(machine, mended), told)
+
+
+def _told(log: Log, what: str, times_s: Sequence[float]) -> list[str]:
+    """Return one sentence about these times of a log, the first of them named; none of none."""
+    if not times_s:
+        return []
+    more = f" and {len(times_s) - 3} more" if len(times_s) > 3 else ""
+    return [f"{log.name}: {what} {', '.join(f'{t:.3f} s' for t in times_s[:3])}{more}"]
 
 
 def rows_far_apart(logs: Sequence[Log]) -> str | None:
@@ -119,6 +142,8 @@ def _complaint(machine: Machine, log: Log) -> str | None:
     for gate in (
         _jumping_counts,
         _stuck_encoder,
+        _false_duty,
+        _copied_wheel,
         _clipped_gyro,
         _flat,
         _wrong_scale,
@@ -230,7 +255,7 @@ def _stuck_encoder(machine: Machine, log: Log) -> str | None:
     """A counter that stands still while its motor is driven and the other wheels run."""
     steps_m = np.abs(np.diff(_wheel_travel_m(machine, log), axis=0))
     speed, way_m = steps_m / np.diff(log.t_s)[:, None], steps_m.sum(axis=0)
-    duty = np.abs([log.columns[f"wheel/{wheel}/duty"] for wheel in range(1, 5)]).mean(axis=1)
+    duty = np.abs(_duties(log)).mean(axis=0)
     for wheel, name in enumerate(ROBOT_CHANNELS[:4], 1):
         still = np.diff(log.columns[name]) == 0
         driven = np.abs(log.columns[f"wheel/{wheel}/duty"][:-1]) > BLIND_DUTY
@@ -246,6 +271,45 @@ def _stuck_encoder(machine: Machine, log: Log) -> str | None:
         if way_m[wheel - 1] == 0 and usual_m > LEAST_WAY_M and duty[wheel - 1] > usual_duty / 2:
             return f"{name} never changes, though its motor is driven and the other wheels turn"
     return None
+
+
+def _false_duty(machine: Machine, log: Log) -> str | None:
+    """A duty that never changes, though its wheel turns as much as those whose duties do."""
+    duty = _duties(log)
+    way_m = np.abs(np.diff(_wheel_travel_m(machine, log), axis=0)).sum(axis=0)
+    for wheel in range(4):
+        usual_m = np.median(np.delete(way_m, wheel))
+        others_vary = np.all(np.ptp(np.delete(duty, wheel, axis=1), axis=0) > BLIND_DUTY)
+        turns = usual_m > LEAST_WAY_M and way_m[wheel] > usual_m / 2
+        if np.ptp(duty[:, wheel]) == 0 and others_vary and turns:
+            return (
+                f"wheel/{wheel + 1}/duty is {duty[0, wheel] + 0.0:g} in every row, though its wheel "
+                "turns as much as the others: log the duty that is applied"
+            )
+    return None
+
+
+def _copied_wheel(machine: Machine, log: Log) -> str | None:
+    """Duties, or counts, of two wheels that are the same in every row, though the others differ."""
+    speed = np.gradient(_wheel_travel_m(machine, log), log.t_s, axis=0)
+    columns = {"duty": _duties(log), "encoder_counts": speed}
+    names = list(columns)
+    for name, other in (names, names[::-1]):
+        for one, two in combinations(range(4), 2):
+            same = columns[name][:, one], columns[name][:, two]
+            apart = columns[other][:, one], columns[other][:, two]
+            rms = np.sqrt(np.mean(np.square([*apart, apart[0] - apart[1]]), axis=1))
+            if np.array_equal(*same) and np.any(same) and rms[2] > OTHER_MOTION * max(rms[:2]):
+                return (
+                    f"wheel/{two + 1}/{name} is that of wheel {one + 1} in every row, though their "
+                    f"wheel/*/{other} differ"
+                )
+    return None
+
+
+def _duties(log: Log) -> Array:
+    """Return the duties (rows, 4)."""
+    return np.stack([log.columns[f"wheel/{wheel}/duty"] for wheel in range(1, 5)], axis=1)
 
 
 def _stretches(mask: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
@@ -522,16 +586,38 @@ def _turned(change: Array) -> Array:
     return change
 
 
-def _without_jumps(log: Log) -> tuple[Log, list[float], float | None]:
-    """Blank single false poses; times where the pose goes on from another place.
+def _without_false_rates(log: Log) -> tuple[Log, list[float]]:
+    """Blank single false samples of the gyro, and say when; many are no mistakes but noise."""
+    name = "gyro/z_rad_s"
+    rows = _sampled(log, name)
+    if rows.size < 10:
+        return log, []
+    shown = log.columns[name][rows]
+    most = FALSE_RATE_RAD_S + FALSE_RATE_RAD_S2 * float(np.median(np.diff(log.t_s[rows])))
+    false = rows[np.abs(shown - median_filter(shown, 5, mode="nearest")) > most]
+    if len(false) > max(3, MOST_JUMPS * len(rows)):
+        return log, []
+    return _blanked(log, [name], false), log.t_s[false].tolist()
+
+
+def _blanked(log: Log, names: Sequence[str], rows: npt.NDArray[np.intp]) -> Log:
+    columns = dict(log.columns)
+    for name in names:
+        columns[name] = columns[name].copy()
+        columns[name][rows] = np.nan
+    return replace(log, columns=columns)
+
+
+def _without_jumps(log: Log) -> tuple[Log, list[float], list[float], float | None]:
+    """Blank single false poses: their times, and those where the pose goes on from another place.
 
     A picture is compared with the median motion of its neighbours: the wheels may slide, but a
-    body changes its speed only as fast as its grip allows. The third is the time of the first jump
+    body changes its speed only as fast as its grip allows. The last is the time of the first jump
     when there are too many.
     """
     rows = _sampled(log, *POSE_COLUMNS)
     if rows.size < 10:
-        return log, [], None
+        return log, [], [], None
     t_s, pose = log.t_s[rows], np.stack([log.columns[c][rows] for c in POSE_COLUMNS], axis=1)
     steps = _turned(np.diff(pose, axis=0)) / np.diff(t_s)[:, None]
     rate = median_filter(np.vstack([steps[:1], steps]), size=(NEIGHBOURS, 1), mode="nearest")
@@ -556,12 +642,8 @@ def _without_jumps(log: Log) -> tuple[Log, list[float], float | None]:
         else:
             false.append(now)
     if len(false) + len(cuts) > max(3, MOST_JUMPS * len(rows)):
-        return log, [], first
-    columns = dict(log.columns)
-    for name in POSE_COLUMNS:
-        columns[name] = columns[name].copy()
-        columns[name][rows[false]] = np.nan
-    return replace(log, columns=columns), cuts, None
+        return log, [], [], first
+    return _blanked(log, POSE_COLUMNS, rows[false]), t_s[false].tolist(), cuts, None
 
 
 # ---- all logs ----

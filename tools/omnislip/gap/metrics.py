@@ -31,6 +31,9 @@ PREDICTED, REPEATED = "the predictor's noise", "repeated manoeuvres"
 OTHER_COMMANDS = 0.02
 """Mean square of what two commands differ by, over the sum of their variances, from which on they
 are no repetition."""
+OTHER_CHANCE = 100.0
+"""Mean square by which two runs of the same commands differ, over that of the nearest quarter of
+such pairs, from which on no chance does that: it is another robot, floor or load."""
 OVERLAP, OUT_OF_STEP = 0.8, 0.1
 """Share of the shorter of two runs that both must hold, and share of a window by which their
 restarts may be apart: the error of a replay depends on the time since its start."""
@@ -284,9 +287,14 @@ def _repetitions(replays: Sequence[Replays]) -> Array | None:
         for one, other in combinations(replays, 2)
         if _repeats(one.run, other.run)
     ]
-    windows = np.concatenate([np.empty((0, len(replays[0].run.channels))), *found])
-    windows = windows[(windows > 0).any(axis=1)]  # copies of a log differ in nothing
-    return windows if len(windows) else None
+    found = [windows[(windows > 0).any(axis=1)] for windows in found]
+    found = [windows for windows in found if len(windows)]  # copies of a log differ in nothing
+    if not found:
+        return None
+    sizes = np.stack([_mean(windows, axis=0) for windows in found])
+    near = np.array([np.percentile(np.nan_to_num(own), 25, method="lower") for own in sizes.T])
+    alike = ~np.any((sizes > OTHER_CHANCE * near) & (near > 0), axis=1)
+    return np.concatenate([windows for windows, same in zip(found, alike, strict=True) if same])
 
 
 def _repeats(one: Run, other: Run) -> bool:

@@ -18,9 +18,10 @@ The best manoeuvre is the one with the largest separation per second of those th
 certain, else the one with the largest separation.
 """
 
+import difflib
 import json
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -31,7 +32,7 @@ from scipy.linalg import null_space
 from scipy.stats import norm
 
 from omnislip.errors import InputError
-from omnislip.files import nearest, write_text
+from omnislip.files import write_text
 from omnislip.gap.inference import Data, Fit, Hypothesis, fit, linearise, objective
 from omnislip.gap.machine import PATCH, Candidate, Machine
 from omnislip.gap.noise import Noise, first_guess
@@ -44,7 +45,7 @@ from omnislip.gap.recordings import (
     wheel_jacobian,
 )
 from omnislip.log_file import Log
-from omnislip.model_file import Model, read_model
+from omnislip.model_file import WIRING, Model, read_model
 from omnislip.scenario import CONTROL_RATE_HZ, Scenario, Sensors, format_scenario
 from omnislip.simulate import make_log, simulate_truth
 
@@ -52,6 +53,8 @@ Array = npt.NDArray[np.float64]
 Part = tuple[float, str, Sequence[float]]
 """Seconds, kind of command, value."""
 
+NOT_DRIVEN = (*WIRING, "impact")
+"""What no manoeuvre is for: mistakes of wiring, and pushes."""
 CERTAIN = 100.0
 """Separation from which on more is not better: the wrong one is ahead once in four million."""
 REST_S = 0.4
@@ -374,6 +377,8 @@ def plan(
     machine = Machine(replace(model, effects=kept), electric)
     channels = robot_channels(machine)
     blank = [k for k, channel in enumerate(channels) if channel not in question.channels]
+    if len(blank) == len(channels):
+        raise InputError("the logs of the gap.json have none of the channels of a robot")
     rehearsal = Rehearsal(machine, limits, blank)
     truths = [_truth(machine, name, sizes.get(name)) for name in names]
     progress("fitting the manoeuvres into the room")
@@ -399,22 +404,38 @@ def plan(
 
 
 def read_gap(path: Path) -> Question:
-    """Return the question of the first ambiguous effect of a gap.json, with its size there."""
+    """Return the question of the first ambiguous effect of a gap.json, with its size there.
+
+    What no manoeuvre is for is passed over, as an effect and as a rival.
+    """
     try:
         result = json.loads(path.read_text(encoding="utf-8"))
         effects = [*result["effects"], *result.get("nearest", [])]
-        logged = result["gap"]["channels"] if result["gap"] else ROBOT_CHANNELS
+        channels = tuple((result.get("gap") or {}).get("channels") or ROBOT_CHANNELS)
+        unsure = [effect for effect in effects if effect.get("ambiguous_with")]
+        for effect in unsure:
+            rivals = [rival for rival in effect["ambiguous_with"] if _can_be_driven(rival)]
+            if rivals and effect["name"] not in NOT_DRIVEN:
+                sizes = {k: float(v["value"]) for k, v in effect["parameters"].items()}
+                return Question([_name_of(effect), *rivals], {_name_of(effect): sizes}, channels)
+        sets = [" from ".join([_name_of(e), *e["ambiguous_with"]]) for e in unsure]
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
-    except (ValueError, KeyError, TypeError, UnicodeDecodeError):
+    except (ValueError, KeyError, TypeError, AttributeError):
         raise InputError(f"{path}: not a gap.json as gap find writes it") from None
-    for effect in effects:
-        if effect.get("ambiguous_with"):
-            wheel = effect["wheel"]
-            name = effect["name"] + ("" if wheel is None else f" (wheel {wheel})")
-            sizes = {k: v["value"] for k, v in effect["parameters"].items()}
-            return Question([name, *effect["ambiguous_with"]], {name: sizes}, tuple(logged))
+    if sets:
+        raise InputError(f"{path}: no manoeuvre in the library separates {sets[0]}")
     raise InputError(f"{path}: names no effect that cannot be told from another")
+
+
+def _name_of(effect: Mapping[str, Any]) -> str:
+    wheel = effect.get("wheel")
+    return effect["name"] + ("" if wheel is None else f" (wheel {wheel})")
+
+
+def _can_be_driven(rival: str) -> bool:
+    """A patch has its place only in a gap.json that names it as an effect."""
+    return rival.partition(" ")[0] not in (*NOT_DRIVEN, PATCH)
 
 
 def write_plan(best: Separation, directory: Path, robot: Path) -> Path:
@@ -451,9 +472,13 @@ def _named(machine: Machine, name: str) -> Candidate:
     """The candidate of a name; of a patch in the floor the question says the place."""
     candidates = [*machine.candidates(), machine.patch(np.zeros(1))]
     known = {candidate.name: candidate for candidate in candidates}
+    if name in machine.catalogue and name not in known:
+        wheels = f"'{name} (wheel 1)' to '{name} (wheel {machine.wheels})'"
+        raise InputError(f"effect '{name}' acts on one wheel: {wheels}")
     if name not in known:
-        own = "; an effect of your own has to be defined in the robot file"
-        raise InputError(f"unknown effect '{name}'{nearest(name, known)}{own}")
+        near = "', '".join(difflib.get_close_matches(name, known, n=3, cutoff=0.0))
+        own = "An effect of your own has to be defined in the robot file"
+        raise InputError(f"unknown effect '{name}'; did you mean '{near}'? {own}")
     return known[name]
 
 

@@ -84,7 +84,7 @@ def make_run(machine: Machine, log: Log, begin: int = 0, end: int | None = None)
         counts_per_rad = machine.model.values["encoder.counts_per_rev"] / (2 * np.pi)
         scale = np.array([counts_per_rad] * 4 + [1.0] * (len(channels) - 4))
     else:
-        position = "axis/position_m" if machine.linear else "axis/position_rad"
+        position = _position(machine)
         command = np.ascontiguousarray(log.columns["axis/command"][rows, None])
         outputs = np.ascontiguousarray(log.columns[position][rows, None])
         span = min(len(t_s) - 1, 5)
@@ -150,9 +150,22 @@ def _odometry_run(machine: Machine, log: Log, rows: slice, t_s: Array) -> Run:
 
 
 def machine_for(model: Model, logs: Sequence[Log]) -> Machine:
-    """Return the believed machine with the outputs that the logs have."""
+    """Return the believed machine with the outputs that the logs have.
+
+    InputError for an axis that turns whose log shows a way, and the other way round.
+    """
     measured = any(_varies(log.columns.get(name)) for log in logs for name in ELECTRIC_CHANNELS)
-    return Machine(model, electric=model.kind == "robot" and measured)
+    machine = Machine(model, electric=model.kind == "robot" and measured)
+    if machine.kind == "axis":
+        for log in logs:
+            if _position(machine) not in log.columns:
+                kind = "axis.mass_kg" if machine.linear else "axis.inertia_kg_m2"
+                raise InputError(f"{log.name}: a model with {kind} needs {_position(machine)}")
+    return machine
+
+
+def _position(machine: Machine) -> str:
+    return "axis/position_m" if machine.linear else "axis/position_rad"
 
 
 def unused_columns(machine: Machine, logs: Sequence[Log]) -> list[str]:

@@ -200,7 +200,8 @@ def search(
         found = _try(data, current, worth, step, tried, progress)
         accepted = next((fitted for trial, fitted in found if trial.accepted), None)
         ahead = _Ahead(data, current, candidates, step, tried, progress)
-        delay = next((s.candidate for s in worth if s.candidate.effect == DELAY), None)
+        # By the filter of a model without it a delay of some rows may promise nothing.
+        delay = next((c for c in candidates if c.effect == DELAY), None)
         further = ahead.far_delay(delay, accepted) if delay else None
         if further is not None:
             found = [(_gives_way(trial, "a delay of more rows"), one) for trial, one in found]
