@@ -283,8 +283,8 @@ def _false_duty(machine: Machine, log: Log) -> str | None:
         turns = usual_m > LEAST_WAY_M and way_m[wheel] > usual_m / 2
         if np.ptp(duty[:, wheel]) == 0 and others_vary and turns:
             return (
-                f"wheel/{wheel + 1}/duty is {duty[0, wheel] + 0.0:g} in every row, though its wheel "
-                "turns as much as the others: log the duty that is applied"
+                f"wheel/{wheel + 1}/duty is {duty[0, wheel] + 0.0:g} in every row, though its "
+                "wheel turns as much as the others: log the duty that is applied"
             )
     return None
 
