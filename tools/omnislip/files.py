@@ -12,6 +12,9 @@ from typing import Any
 
 from omnislip.errors import InputError
 
+MOST_NAMES = 30
+"""That a message lists."""
+
 
 def load_toml(path: Path) -> dict[str, Any]:
     """Return the parsed file. InputError names the file and, for bad syntax, the line."""
@@ -26,11 +29,17 @@ def load_toml(path: Path) -> dict[str, Any]:
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """Return '; did you mean ...?' for the known name most like `name`, else what is known."""
+    """Return '; did you mean ...?' for the known name most like `name`, else what is known.
+
+    Of more names than `MOST_NAMES` the three most alike.
+    """
     names = sorted(known)
     matches = difflib.get_close_matches(name, names, n=1, cutoff=0.6)
+    if not matches and len(names) > MOST_NAMES:
+        matches = difflib.get_close_matches(name, names, n=3, cutoff=0.0)
     if matches:
-        return f"; did you mean '{matches[0]}'?"
+        listed = "', '".join(matches)
+        return f"; did you mean '{listed}'?"
     return f"; known: {', '.join(names)}" if names else ""
 
 

@@ -18,7 +18,6 @@ The best manoeuvre is the one with the largest separation per second of those th
 certain, else the one with the largest separation.
 """
 
-import difflib
 import json
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -32,7 +31,7 @@ from scipy.linalg import null_space
 from scipy.stats import norm
 
 from omnislip.errors import InputError
-from omnislip.files import write_text
+from omnislip.files import nearest, write_text
 from omnislip.gap.inference import Data, Fit, Hypothesis, fit, linearise, objective
 from omnislip.gap.machine import PATCH, Candidate, Machine
 from omnislip.gap.noise import Noise, first_guess
@@ -476,9 +475,8 @@ def _named(machine: Machine, name: str) -> Candidate:
         wheels = f"'{name} (wheel 1)' to '{name} (wheel {machine.wheels})'"
         raise InputError(f"effect '{name}' acts on one wheel: {wheels}")
     if name not in known:
-        near = "', '".join(difflib.get_close_matches(name, known, n=3, cutoff=0.0))
         own = "An effect of your own has to be defined in the robot file"
-        raise InputError(f"unknown effect '{name}'; did you mean '{near}'? {own}")
+        raise InputError(f"unknown effect '{name}'{nearest(name, known)} {own}")
     return known[name]
 
 
