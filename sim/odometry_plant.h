@@ -11,7 +11,9 @@
  * rollers' axes off the wheel's rolling direction: 0 for an omni wheel; for a mecanum wheel 45
  * degrees, g_i and L then being bearing and distance of the line in which it can push. The body
  * moves as the least squares solution v = (J'J)^-1 J' (rim speeds) says, changed by the effects of
- * the hook `motion`. A row of the log is followed along an arc.
+ * the hook `motion`. Where all wheels drive in parallel (two wheels, tracks) nothing says how fast
+ * the body moves along their axle: J has one more row, (cos g_1, sin g_1, 0), with speed 0. A row
+ * of the log is followed along an arc.
  *
  * The camera's row at t shows the pose of t (1 - fraction) - delay (clock_skew, pose_latency): the
  * pose here is the one the camera shows, driven by the encoders of that moment. That is exact also
@@ -27,6 +29,7 @@ namespace omnislip {
 inline namespace OMNISLIP_INSTRUCTION_SET {
 
 constexpr int kMostWheels = 8;
+constexpr double kParallel = 1e-12; /* squares of the sines of the angles between the wheels */
 
 constexpr BaseParameter kOdometryBase[] = {
     {"odometry.wheel_radius_m", "m", 0.05},       {"odometry.wheel_distance_m", "m", 0.2},
@@ -152,6 +155,7 @@ class OdometryPlant {
                 for (int b = 0; b < 3; ++b)
                     m[a][b] = m[a][b] + j[i][a] * j[i][b];
         }
+        add_axle(m);
         S adjugate[3][3];
         for (int a = 0; a < 3; ++a) {
             for (int b = 0; b < 3; ++b) {
@@ -168,6 +172,21 @@ class OdometryPlant {
                 inverse_[a][i] = row / determinant * c_.wheel_radius_m[i] / sensor_.encoder_rate[i];
             }
         }
+    }
+
+    void add_axle(S (&m)[3][3]) const {
+        using std::cos;
+        using std::sin;
+        const S &first = c_.wheel_angle_rad[0];
+        S across(0.0);
+        for (const S &bearing : c_.wheel_angle_rad) {
+            const S sine = sin(bearing - first);
+            across = across + select(bearing == bearing, sine * sine, S(0.0));
+        }
+        const S axle[2] = {cos(first), sin(first)};
+        for (int a = 0; a < 2; ++a)
+            for (int b = 0; b < 2; ++b)
+                m[a][b] = m[a][b] + select(across < S(kParallel), axle[a] * axle[b], S(0.0));
     }
 
     Constants<S, kMotors> c_;

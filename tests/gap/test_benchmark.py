@@ -37,7 +37,7 @@ def answer(*effects, verdict="effect_found", rivals=()):
                 k: {"value": v, "low": v - 0.1 * abs(v), "high": v + 0.1 * abs(v)}
                 for k, v in sizes.items()
             },
-            "ambiguous_with": list(rivals),
+            "rivals": [{"name": name, "wheel": None} for name in rivals],
         }
         for n, w, sizes in effects
     ]

@@ -126,6 +126,20 @@ def test_a_log_that_find_would_refuse_is_refused(tmp_path):
         evaluate_model(tmp_path / "robot.toml", [tmp_path / "run_01.csv"], silent)
 
 
+def test_what_was_cut_is_told(found):
+    _, _, models, held_out = found
+    [told] = evaluate_model(models["after"], held_out, silent)["recording"]
+    assert told == "run_05: rows are missing, the log is cut there: 1.495 s"
+
+
+def test_evaluate_refuses_logs_in_which_nothing_moves(tmp_path):
+    model, [path] = axis_files(tmp_path, rubbing([1]))
+    log = read_log(path, "axis")
+    write_log(replace(log, columns={name: 0 * v for name, v in log.columns.items()}), path)
+    with pytest.raises(InputError, match="the logs cannot be used: the command never changes"):
+        evaluate_model(model, [path], silent)
+
+
 def test_evaluate_refuses_a_log_in_milliseconds(tmp_path):
     model, [path] = axis_files(tmp_path, rubbing([1]))
     log = read_log(path, "axis")

@@ -283,12 +283,21 @@ def test_nothing_hidden_nothing_found(nothing_hidden):
 
 def test_no_gap_gives_a_limit_of_detection_for_every_candidate(nothing_hidden):
     result = to_json(nothing_hidden)
-    candidates = {c.name for c in nothing_hidden.machine.candidates()} | {"slippery_patch"}
-    assert set(result["detection_limits"]) == candidates
-    sizes = [v for limits in result["detection_limits"].values() for v in limits.values()]
-    assert all(np.isfinite(v) and v > 0 for v in sizes)
+    candidates = nothing_hidden.machine.candidates()
+    limits = result["detection_limits"]
+    assert set(limits) == {c.effect for c in candidates} | {"slippery_patch"}
+    assert all(np.isfinite(v) and v > 0 for own in limits.values() for v in own.values())
     # What these logs show of a motor: better than a tenth, no better than a thousandth.
-    assert 1e-3 < result["detection_limits"]["weak_motor (wheel 3)"]["scale"] < 0.1
+    wheels = [own["scale"] for own in result["detection_limits_by_wheel"]["weak_motor"].values()]
+    assert len(wheels) == 4 and limits["weak_motor"]["scale"] == max(wheels)
+    assert min(wheels) > 1e-3 and max(wheels) < 0.1
+
+
+def test_the_limit_of_what_is_infinite_when_absent_is_the_largest_that_shows(nothing_hidden):
+    """Currents of this drive clip at a few ampere, and hardly anywhere at 15 A."""
+    limits = to_json(nothing_hidden)["detection_limits"]
+    assert limits["current_limit"]["limit_a"] in (2.5, 5.0, 9.0, 15.0)
+    assert limits["shaft_compliance"].keys() <= {"stiffness_nm_rad"}
 
 
 def test_friction_of_all_wheels_is_named_for_all(tmp_path):
@@ -336,6 +345,7 @@ EFFECT = {
     "wheel": (int, type(None)),
     "parameters": {str: {"value": NUMBER, "low": NUMBER, "high": NUMBER}},
     "ambiguous_with": [str],
+    "rivals": [{"name": str, "wheel": (int, type(None))}],
     "separating_manoeuvre": (dict, type(None)),
     "evidence": {str: NUMBER},
 }
@@ -585,3 +595,11 @@ def test_too_little_data_is_a_verdict(case, tmp_path):
     assert reason in result["sentence"]
     assert result["effects"] == []
     assert findings.amended.values == read_model(model).values
+
+
+def test_what_was_not_used_of_too_few_data_is_told(tmp_path):
+    model, _ = robot_case(tmp_path / "model")
+    write_log(robot_log(40, **{"supply/voltage_v": np.full(40, 24.0)}), tmp_path / "run.csv")
+    result = to_json(found(model, [tmp_path / "run.csv"]))
+    assert result["verdict"] == "insufficient_data"
+    assert result["recording"] == ["supply/voltage_v (does not vary in 1 of 1 logs): not used"]

@@ -86,6 +86,48 @@ def test_latency_is_named_and_sized(tmp_path, model):
     assert findings.outcome.selected[0].values[0] == pytest.approx(0.14, abs=0.01)
 
 
+def two_wheeled(seed, loss=0.0, radius=1.0):
+    """A robot with a wheel on either side, which turns less than its wheels say."""
+    rng = np.random.default_rng(seed)
+    fine_s = ROW_S / FINE
+    t_s = np.arange(0.0, 30.0, fine_s)
+    waves = rng.uniform(0.05, 0.5, (2, 4))[:, :, None] * 2 * np.pi * t_s
+    waves = np.sin(waves + rng.uniform(0, 2 * np.pi, (2, 4))[:, :, None]).sum(axis=1)
+    speed, turning = np.array([[0.15], [0.3]]) * waves * np.clip(t_s - 0.5, 0, 1)
+    rims = np.stack([DISTANCE_M * turning - speed, DISTANCE_M * turning + speed])
+    rims[0] /= radius
+    counts = np.round(np.cumsum(rims, axis=1) * fine_s / RADIUS_M * COUNTS / (2 * np.pi))
+    heading = (1 - loss) * np.cumsum(turning) * fine_s
+    place = np.cumsum(speed * np.exp(1j * heading)) * fine_s
+    rows = np.arange(0, len(t_s), FINE)
+    pose = np.stack([place.real, place.imag, heading])[:, rows]
+    pose += 3e-4 * rng.standard_normal(pose.shape)
+    columns = {f"wheel/{i + 1}/encoder_counts": counts[i, rows] for i in range(2)}
+    columns |= dict(zip(("pose/x_m", "pose/y_m", "pose/theta_rad"), pose, strict=True))
+    return Log(f"run_{seed:02d}", rows * fine_s, columns)
+
+
+@pytest.mark.parametrize(
+    "name, hidden",
+    [
+        ("turning_loss", {"loss": 0.08}),
+        ("wheel_radius_error (wheel 1)", {"radius": 1.06}),
+        (None, {}),
+    ],
+)
+def test_two_wheels_on_an_axle_are_an_odometry_too(tmp_path, model, name, hidden):
+    """Facing left (90 degrees) and right; the robot never moves sideways by itself."""
+    model.write_text(MODEL.replace(str(ANGLES_DEG), "[90.0, 270.0]"))
+    findings = find(tmp_path, model, [two_wheeled(seed, **hidden) for seed in range(6)])
+    if name is None:
+        assert findings.verdict == "no_gap"
+        return
+    assert findings.verdict == "effect_found"
+    [found] = findings.outcome.selected
+    assert name in (found.candidate.name, *found.rivals)
+    assert findings.table.closed.low > 0.9
+
+
 def test_a_right_model_has_no_gap(tmp_path, model):
     findings = find(tmp_path, model, [make_log(seed) for seed in range(6)])
     assert findings.verdict == "no_gap"

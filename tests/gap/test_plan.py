@@ -242,6 +242,18 @@ def test_wiring_alone_cannot_be_planned_for(tmp_path):
         planning.read_gap(gap_file(tmp_path, [SIGNS, PERMUTED]))
 
 
+@pytest.mark.parametrize("name", ["motor_sign (wheel 1)", "wheel_permutation", "impact"])
+def test_no_manoeuvre_is_for_wiring_and_pushes(name):
+    with pytest.raises(InputError, match=f"no manoeuvre is for {name.split(' ')[0]}"):
+        planning.plan(MODEL, planning.Question([name, "payload"]), planning.Limits(), print)
+
+
+def test_rivals_of_one_wheel_are_asked_for_with_it(tmp_path):
+    rivals = [{"name": "weak_motor", "wheel": 3}]
+    path = gap_file(tmp_path, [unsure("one_wheel_drag", "weak_motor", wheel=2, rivals=rivals)])
+    assert planning.read_gap(path).names == ["one_wheel_drag (wheel 2)", "weak_motor (wheel 3)"]
+
+
 MALFORMED = {
     "no table": 1,
     "no name": {"ambiguous_with": ["payload"], "parameters": {}},

@@ -389,7 +389,7 @@ def test_every_limit_of_gap_json_is_a_row(machines):
     findings = replace(findings, outcome=replace(findings.outcome, limits=limits))
     page = Page(render(findings, COMMAND_LINE))
     rows = [row[0] for row in page.rows if row[0].split(" ")[0] in limits]
-    assert rows == [f"{effect} scale" for effect in to_json(findings)["detection_limits"]]
+    assert rows == [f"{effect} scale" for effect in findings.outcome.limits]
 
 
 def test_limit_beyond_the_bound_of_its_size_is_not_called_a_limit(machines):

@@ -206,9 +206,26 @@ def test_a_wiring_is_told_though_the_logs_are_refused(tmp_path):
     assert "cannot tell this wiring from" in result["sentence"]
     names = [effect["name"] for effect in result["effects"]]
     assert names in (["encoder_sign"] * 4, ["motor_sign"] * 4)
-    assert all(len(effect["ambiguous_with"]) == 1 for effect in result["effects"])
+    [other] = {"encoder_sign", "motor_sign"} - set(names)
+    assert all(effect["ambiguous_with"] == [other] for effect in result["effects"])
+    assert all(
+        [r["wheel"] for r in effect["rivals"]] == [1, 2, 3, 4] for effect in result["effects"]
+    )
     assert findings.amended.effects == findings.wiring
     assert render(findings, "omnislip").count(f"<h3>{names[0]} (wheel") == 4
+
+
+def test_an_order_of_wheels_is_a_parameter_like_others(tmp_path):
+    """With value, low and high: it is known exactly."""
+    logs_of(tmp_path, (as_hidden(MISTAKES[1]),))
+    path = tmp_path / "run_01.csv"
+    pd.read_csv(path).assign(**{"supply/voltage_v": 24e3}).to_csv(path, index=False)
+    result = to_json(find_gap(tmp_path / "robot.toml", [path], lambda _: None))
+    assert result["verdict"] == "insufficient_data"
+    [told] = result["effects"]
+    order = MISTAKES[1].parameters["wheels"]
+    assert told["parameters"] == {"wheels": {"value": order, "low": order, "high": order}}
+    assert told["ambiguous_with"] == told["rivals"] == []
 
 
 @pytest.mark.parametrize("name, size", [("weak_motor", {"scale": 0.6}), (None, {})])

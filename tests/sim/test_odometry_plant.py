@@ -70,6 +70,17 @@ def test_wheels_that_disagree_move_the_body_by_least_squares(rates):
     np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
+@pytest.mark.parametrize("angles", [[90.0, 270.0], [300.0, 120.0], [90.0, 90.0, 270.0, 270.0]])
+def test_parallel_wheels_do_not_move_along_their_axle(angles):
+    """Two wheels or two tracks: forward by the mean of the sides, turning by their difference."""
+    ahead = np.exp(1j * (np.deg2rad(angles[0]) - np.pi / 2))
+    t_s, pose = drive(
+        rates_of((0.3 * ahead.real, 0.3 * ahead.imag, 0.5), angles), angles_deg=angles
+    )
+    expected = arc((0.3 * ahead.real, 0.3 * ahead.imag, 0.5), t_s)
+    np.testing.assert_allclose(pose, expected, atol=2e-7)
+
+
 def test_mecanum_wheel_pushes_with_the_cosine_of_its_roller_angle():
     velocity = np.array([0.2, 0.1, 0.3])
     t_s, pose = drive(rates_of(velocity) / np.cos(np.pi / 4), roller_deg=45.0)

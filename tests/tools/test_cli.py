@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from importlib import metadata
 from pathlib import Path
 
 import pandas as pd
@@ -144,9 +145,34 @@ def test_help_is_there_and_leaf_commands_give_an_example(command, omnislip):
     assert ("Example: omnislip " + " ".join(command) in ended.stdout) == leaf
 
 
-def test_wrong_usage_ends_with_2(omnislip):
-    assert omnislip("simulate").status == 2
-    assert omnislip("fly").status == 2
+WRONG_USAGE = {
+    ("fly",): "No such command 'fly'; see ",
+    ("simulate", "square.toml"): "Missing option '--out'; see ",
+    ("gap", "find", "--robto", "robot.toml"): "No such option: --robto",
+    ("gap", "find", "--robot", "robot.toml", "--out", "gap"): "Missing argument 'logs'; see ",
+    ("gap", "plan", "--robot", "x", "--out", "y", "--room-m", "0.1"): "'--room-m'",
+    ("gap", "benchmark", "--out", "x", "--size", "huge"): "'--size'",
+}
+
+
+@pytest.mark.parametrize("command", WRONG_USAGE, ids=" ".join)
+def test_wrong_usage_is_one_line_that_says_what_and_where_to_look(command, omnislip):
+    ended = omnislip(*command)
+    assert ended.status == 2
+    [line] = ended.stderr.splitlines()
+    assert line.startswith("omnislip: error: ")
+    assert WRONG_USAGE[command] in line and line.endswith(" --help")
+
+
+def test_version_is_that_of_the_package(omnislip):
+    ended = omnislip("--version")
+    assert (ended.status, ended.stdout) == (0, f"omnislip {metadata.version('omnislip')}\n")
+
+
+def test_a_command_without_arguments_shows_its_help(omnislip):
+    ended = omnislip("gap")
+    assert ended.status == 2
+    assert "evaluate" in ended.stdout + ended.stderr
 
 
 def test_no_color_is_honoured():

@@ -232,9 +232,20 @@ def test_odometry_has_at_most_eight_wheels(write):
     assert "list of 8" in error_of(write("odometry.toml", text))
 
 
-def test_odometry_needs_three_wheels(write):
-    text = ODOMETRY.replace("[60.0, 180.0, 300.0]", "[0.0, 180.0]")
-    assert "list of 3" in error_of(write("odometry.toml", text))
+def test_odometry_needs_two_wheels(write):
+    text = ODOMETRY.replace("[60.0, 180.0, 300.0]", "[180.0]")
+    assert "list of 2" in error_of(write("odometry.toml", text))
+
+
+@pytest.mark.parametrize("angles", ["[90.0, 270.0]", "[-90.0, 90.0, 270.0, 450.0]"])
+def test_parallel_wheels_are_an_odometry(angles, write):
+    assert read_model(write("odometry.toml", ODOMETRY.replace("[60.0, 180.0, 300.0]", angles)))
+
+
+@pytest.mark.parametrize("angles", ["[0.0, 120.0]", "[0.0, 120.0, 360.0]"])
+def test_wheels_that_do_not_say_how_the_robot_moves_are_refused(angles, write):
+    text = ODOMETRY.replace("[60.0, 180.0, 300.0]", angles)
+    assert "two that differ by 180 degrees" in error_of(write("odometry.toml", text))
 
 
 def test_missing_folder_and_binary_files_are_named(tmp_path):
@@ -305,6 +316,10 @@ def effects_of(kind: str, own_names: dict[str, str]) -> st.SearchStrategy:
     )
 
 
+def in_three_directions(values: dict[str, list[float]]) -> bool:
+    return len({round(angle % 360.0, 6) for angle in values["odometry.wheel_angles_deg"]}) > 2
+
+
 def models(kind: str, values: st.SearchStrategy) -> st.SearchStrategy:
     return values.flatmap(
         lambda drawn: st.builds(
@@ -324,7 +339,7 @@ ANY_MODEL = st.one_of(
     models("robot", values_of(ROBOT_KEYS, (4, 4))),
     models("axis", axis_values(TRANSLATING_AXIS_KEYS)),
     models("axis", axis_values(TURNING_AXIS_KEYS)),
-    models("odometry", values_of(ODOMETRY_KEYS, (3, 6))),
+    models("odometry", values_of(ODOMETRY_KEYS, (3, 6)).filter(in_three_directions)),
 )
 
 

@@ -12,6 +12,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
@@ -26,6 +27,7 @@ from rich.progress import (
     track,
 )
 from rich.table import Table
+from typer.exceptions import TyperException
 
 from omnislip.errors import InputError, RobotError
 from omnislip.gap.commands import app as gap_app
@@ -39,7 +41,6 @@ if TYPE_CHECKING:  # the command line starts without pandas
 SECONDS_PER_LINE = 2.0
 
 app = typer.Typer(
-    help="Simulate a four-wheeled omnidirectional robot with slip; find what its model lacks.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -51,6 +52,23 @@ import_app = typer.Typer(
 app.add_typer(import_app, name="import")
 app.add_typer(gap_app, name="gap")
 app.add_typer(link_app, name="link")
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        print(f"omnislip {version('omnislip')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _omnislip(
+    shown: Annotated[
+        bool,
+        typer.Option("--version", help="Show the version.", callback=_show_version, is_eager=True),
+    ] = False,
+) -> None:
+    """Simulate a four-wheeled omnidirectional robot with slip; find what its model lacks."""
+
 
 Item = TypeVar("Item")
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
@@ -341,7 +359,14 @@ def _print_files(paths: list[Path], as_json: bool) -> None:
 def main() -> None:
     """Run the command line; an error ends with one line on stderr and exit status 2 or 3."""
     try:
-        app()
+        sys.exit(app(standalone_mode=False) or 0)
+    except TyperException as error:  # its own words for wrong usage are a box of lines
+        what = " ".join(error.format_message().split()).rstrip(".")
+        if what:  # nothing where the help was asked for by no argument
+            context = getattr(error, "ctx", None)
+            command = context.command_path if context else "omnislip"
+            print(f"omnislip: error: {what}; see {command} --help", file=sys.stderr)
+        sys.exit(error.exit_code)
     except InputError as error:
         print(f"omnislip: error: {error}", file=sys.stderr)
         sys.exit(2)

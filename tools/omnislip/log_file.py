@@ -39,7 +39,7 @@ ROBOT_OPTIONAL = [
 AXIS_POSITIONS = ["axis/position_m", "axis/position_rad"]
 AXIS_OPTIONAL = ["axis/speed_m_s", "axis/speed_rad_s", "supply/voltage_v"]
 COUNTS_PATTERN = re.compile(r"wheel/[1-9]\d*/encoder_counts")
-MIN_ODOMETRY_WHEELS = 3
+MIN_ODOMETRY_WHEELS = 2
 
 
 @dataclass(frozen=True)

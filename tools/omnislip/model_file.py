@@ -3,12 +3,13 @@
 [model] kind says what the machine is (default "robot"):
     robot     four driven omni wheels; tables [robot] [motor] [contact] [encoder]
     axis      one driven axis, translating (mass_kg, N) or turning (inertia_kg_m2, N m)
-    odometry  geometry of a robot with 3 to 8 omni or mecanum wheels, encoders only. The encoders
-              are counted per turn of the wheel, so that positive counts turn the robot
-              counter-clockwise. A mecanum wheel has roller_angle_deg = 45 (0, the default, is an
-              omni wheel); wheel_angles_deg and wheel_distance_m are then those of the line in which
-              it pushes: a wheel at (x, y) whose rollers push along (cos b, sin b) has the angle
-              b - 90 degrees and the distance x sin b - y cos b
+    odometry  geometry of a robot with 2 to 8 wheels, encoders only. The encoders are counted per
+              turn of the wheel, so that positive counts turn the robot counter-clockwise. Two
+              wheels on one axle, or two tracks, have angles that differ by 180 degrees. A mecanum
+              wheel has roller_angle_deg = 45 (0, the default, is an omni wheel); wheel_angles_deg
+              and wheel_distance_m are then those of the line in which it pushes: a wheel at (x, y)
+              whose rollers push along (cos b, sin b) has the angle b - 90 degrees and the distance
+              x sin b - y cos b
 
 [tolerance] gives the relative standard deviation of each believed value: `default` and one entry
 per key. Each [[effects.NAME]] table adds one effect of the catalogue to the model. A [define.NAME]
@@ -109,7 +110,7 @@ ODOMETRY_KEYS = {
 }
 OPTIONAL_ODOMETRY_KEYS = ("odometry.roller_angle_deg",)
 KINDS = ("robot", "axis", "odometry")
-MIN_ODOMETRY_WHEELS, MAX_ODOMETRY_WHEELS = 3, 8
+MIN_ODOMETRY_WHEELS, MAX_ODOMETRY_WHEELS = 2, 8
 
 
 # Wiring mistakes are mended in the logs before the plant sees them. wheel_permutation: encoder
@@ -351,6 +352,13 @@ def _read_value(value: object, key: str, rule: str, kind: str, path: Path) -> fl
             raise InputError(
                 f"{path}: '{key}' has all wheels in the same place; degrees are expected, not "
                 f"radians: {value}"
+            )
+        different = sorted({round(angle % 360.0, 6) for angle in angles})
+        parallel = math.isclose(different[-1] - different[0], 180.0)
+        if kind == "odometry" and len(different) < 3 and not parallel:
+            raise InputError(
+                f"{path}: '{key}' needs at least three different angles, or two that differ by 180 "
+                f"degrees, not {value}"
             )
         return angles
     number = check_number(value, key, path)

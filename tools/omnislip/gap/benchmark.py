@@ -38,7 +38,7 @@ from omnislip.files import replace_file
 from omnislip.gap.baselines import METHODS, ask_baselines, check_installed, replay_errors
 from omnislip.gap.find import Findings, find_gap, split_runs, to_json
 from omnislip.gap.inference import Data, Fit, Hypothesis, fit, weigh
-from omnislip.gap.machine import CURVE, PHASE, Candidate, Machine
+from omnislip.gap.machine import CURVE, PHASE, Candidate, Machine, name_on_wheel
 from omnislip.gap.metrics import gap_table, replay_all
 from omnislip.gap.noise import tune_noise
 from omnislip.gap.recordings import Run
@@ -226,25 +226,26 @@ def score(truth: dict[str, Any], found: dict[str, Any]) -> dict[str, Any]:
     wanted, allowed = _wanted(truth)
     named = [(e["name"], e["wheel"]) for e in found["effects"]]
     sets = [
-        {_label(*n), *e["ambiguous_with"]} for n, e in zip(named, found["effects"], strict=True)
+        {name_on_wheel(*n), *(name_on_wheel(r["name"], r["wheel"]) for r in e["rivals"])}
+        for n, e in zip(named, found["effects"], strict=True)
     ]
     judged = [s for n, s in zip(named, sets, strict=True) if n not in allowed]
     return {
-        "hidden": [_label(*pair) for pair in wanted],
+        "hidden": [name_on_wheel(*pair) for pair in wanted],
         "friction_curve": truth["friction_curve"],
         "closed_loop": truth["closed_loop"],
         "excitation": truth["excitation"],
         "sensors": truth["sensors"],
         "verdict": found["verdict"],
         "expected_verdict": truth["expected_verdict"],
-        "named": [_label(*pair) for pair in named],
+        "named": [name_on_wheel(*pair) for pair in named],
         "ambiguous": [sorted(s) for s in sets],
         "unknown": [f"{u['equation']}: {u['dependence']}" for u in found["unknown"][:3]],
-        "nearest": [_label(e["name"], e["wheel"]) for e in found["nearest"]],
+        "nearest": [name_on_wheel(e["name"], e["wheel"]) for e in found["nearest"]],
         **_right(truth, named),
         "recall": [pair in named for pair in wanted],
         "wheel": _wheel_right(wanted, named),
-        "in_set": [any(_label(*pair) in s for s in sets) for pair in wanted],
+        "in_set": [any(name_on_wheel(*pair) in s for s in sets) for pair in wanted],
         "set_size": [len(s) for s in judged],
         "sizes": _size_errors(truth, found),
         "impacts": _impacts_in_time(truth, found),
@@ -265,10 +266,6 @@ def _right(truth: dict[str, Any], named: Sequence[Pair]) -> dict[str, bool]:
         "first": bool(counted) and counted[0] in wanted if wanted else not counted,
         "exact": set(counted) == set(wanted),
     }
-
-
-def _label(name: str, wheel: int | None) -> str:
-    return name if wheel is None else f"{name} (wheel {wheel})"
 
 
 def _wheel_right(wanted: Sequence[tuple], named: Sequence[tuple]) -> bool | None:
@@ -395,7 +392,7 @@ def _ask_others(
     if oracle is not None:
         models["oracle"] = oracle.flat(machine.believed)
     for name, answer in answers.items():
-        row[f"{name}: named"] = [_label(*pair) for pair in answer.named]
+        row[f"{name}: named"] = [name_on_wheel(*pair) for pair in answer.named]
         row |= {f"{name}: {key}": right for key, right in _right(truth, answer.named).items()}
     errors = replay_errors(machine, split.held_out, outcome.data.noise, list(models.values()))
     for name, error in zip(models, errors, strict=True):

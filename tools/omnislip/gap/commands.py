@@ -130,6 +130,8 @@ def evaluate(
     for channel, figures in result["channels"].items():
         table.add_row(channel, f"{figures['rmse']:.4g}", f"{figures['noise_floor']:.4g}")
     Console().print(table)
+    for told in result["recording"]:
+        print(told)
 
 
 @app.command(epilog="Example: omnislip gap benchmark --out build/benchmark --size small")

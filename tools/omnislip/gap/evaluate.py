@@ -22,11 +22,11 @@ from typing import Any
 
 from omnislip.errors import InputError
 from omnislip.gap.events import LEAST_PIECE_S, known_pushes
-from omnislip.gap.find import LEAST_ROWS, usable_runs
+from omnislip.gap.find import LEAST_ROWS, too_still, usable_runs
 from omnislip.gap.gates import check, rows_far_apart
 from omnislip.gap.metrics import gap_table, replay_all
 from omnislip.gap.noise import tune_noise
-from omnislip.gap.recordings import machine_for
+from omnislip.gap.recordings import machine_for, unused_columns
 from omnislip.gap.wiring import mend
 from omnislip.log_file import read_logs
 from omnislip.model_file import read_model
@@ -37,11 +37,14 @@ def evaluate_model(
 ) -> dict[str, Any]:
     """Return RMSE of one-second replays and noise floor per channel, in the log's units.
 
+    And what of the logs was mended, cut or not used, in sentences.
+
     InputError for logs whose recording `gap find` would refuse as well.
     """
     model = read_model(model_path)
     logs = [mend(log, model.effects) for log in read_logs(log_paths, model.kind)]
     machine = machine_for(model, logs)
+    told = [f"{column}: not used" for column in unused_columns(machine, logs)]
     far_apart = rows_far_apart(logs)
     if far_apart:
         raise InputError(f"the logs cannot be used: {far_apart}")
@@ -60,6 +63,9 @@ def evaluate_model(
             f"of it between pushes and gaps, must last more than {LEAST_PIECE_S:g} s and have "
             f"{LEAST_ROWS} rows"
         )
+    still = too_still(machine, checked.logs)
+    if still:
+        raise InputError(f"the logs cannot be used: {still}")
     progress("tuning the noise")
     noise = tune_noise(machine, runs, machine.believed)
     progress("replaying")
@@ -72,4 +78,5 @@ def evaluate_model(
             for c, channel in enumerate(table.channels)
         },
         "noise_floor_source": table.floor_source,
+        "recording": [*told, *checked.told],
     }

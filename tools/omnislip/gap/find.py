@@ -21,7 +21,7 @@ from omnislip.gap.gates import check, logged_set_points, rows_far_apart, too_poo
 from omnislip.gap.inference import Data, at_bound, fit, prior_penalty
 from omnislip.gap.inverse import relative_force_error
 from omnislip.gap.leftover import Leftover, find_shapes
-from omnislip.gap.machine import CURVE, EXTENSIONS, Machine
+from omnislip.gap.machine import CURVE, EXTENSIONS, Machine, effect_and_wheel
 from omnislip.gap.metrics import (
     REPEATED,
     Closed,
@@ -192,27 +192,27 @@ def find_gap(
     inputs = {str(path): _sha256(path) for path in files}
     reason = _too_little(machine, logs)
     if reason:
-        return _insufficient(machine, reason, inputs)
+        return _insufficient(machine, reason, inputs, told)
     progress("checking the wiring")
     wiring, *other_wirings = wirings = find_wirings(machine, logs)
     progress("checking the recording")
     checked = check(machine, [mend(log, wiring) for log in logs])
     logs, cuts, told = checked.logs, checked.cuts, [*told, *checked.told]
     if checked.complaint:
-        return _insufficient(machine, checked.complaint, inputs, wirings)
+        return _insufficient(machine, checked.complaint, inputs, told, wirings)
     progress("looking for impacts")
     cuts += known_pushes(model, logs)
     runs = [run for log in logs for run in usable_runs(machine, log, cuts)]
     known = split_runs(machine, logs, cuts)
     if not known.enough:
-        return _insufficient(machine, _too_cut(known), inputs, wirings)
+        return _insufficient(machine, _too_cut(known), inputs, told, wirings)
     noise, first = first_model(machine, known.fitting)
     impacts = find_impacts(machine, runs, first.flat(machine.believed), noise)
     for left in reversed(range(3)):  # again where a push shows only beside the final model
         pushes = cuts + [(impact.run, impact.time_s) for impact in impacts]
         split = split_runs(machine, logs, pushes)
         if not split.enough:
-            return _insufficient(machine, _too_cut(split), inputs, wirings)
+            return _insufficient(machine, _too_cut(split), inputs, told, wirings)
         outcome = search(machine, split.fitting, noise, progress, first.without_effects())
         progress("looking for impacts with the final model")
         values = outcome.final.hypothesis.flat(machine.believed)
@@ -225,15 +225,15 @@ def find_gap(
     if outcome.selected or outcome.leftover:
         reason = logged_set_points(machine, logs, outcome.final.hypothesis.flat(machine.believed))
         if reason:
-            return _insufficient(machine, reason, inputs, wirings)
+            return _insufficient(machine, reason, inputs, told, wirings)
     unchecked = _unchecked(outcome)
     if unchecked and not (outcome.selected or _missing_terms(outcome)):
-        return _insufficient(machine, unchecked, inputs, wirings)
+        return _insufficient(machine, unchecked, inputs, told, wirings)
     hopeful = outcome.selected or outcome.leftover or _surely_refused(outcome)
     if not (hopeful or wiring or impacts):
         reason = too_poor(machine, outcome.limits)
         if reason:
-            return _insufficient(machine, reason, inputs, wirings)
+            return _insufficient(machine, reason, inputs, told, wirings)
     progress("replaying the held-out runs")
     believed = machine.believed
     rungs = [fitted.hypothesis.flat(believed) for fitted in outcome.ladder]
@@ -558,6 +558,11 @@ def _too_little(machine: Machine, logs: Sequence[Log]) -> str | None:
     total = sum(float(log.t_s[-1] - log.t_s[0]) for log in logs)
     if total < LEAST_TIME_S:
         return f"the logs hold {total:.2g} s, at least {LEAST_TIME_S:g} s are needed"
+    return too_still(machine, logs)
+
+
+def too_still(machine: Machine, logs: Sequence[Log]) -> str | None:
+    """Return what does not move in any of the logs, or None."""
     runs = [make_run(machine, log) for log in logs]
     if all(np.ptp(run.command) == 0 for run in runs):
         return "the command never changes"
@@ -586,13 +591,14 @@ def _insufficient(
     machine: Machine,
     reason: str,
     inputs: dict[str, str],
+    told: list[str],
     wirings: Sequence[list[Effect]] = ([],),
 ) -> Findings:
     wiring, *other_wirings = wirings
     split = Split([], [], "no run was used")
     sentence = f"Not enough data: {reason}."
     if wiring:
-        sentence += f" The wiring is wrong: {_all_wiring_words(wiring)}."
+        sentence += f" The wiring is wrong: {wiring_words(wiring)}."
         sentence += _undecided(other_wirings)
     return Findings(
         "insufficient_data",
@@ -611,6 +617,7 @@ def _insufficient(
         {},
         inputs,
         other_wirings=other_wirings,
+        recording=told,
     )
 
 
@@ -692,12 +699,13 @@ def _wiring_words(effect: Effect) -> str:
     return f"{effect.name} (wheel {effect.wheel})"
 
 
-def _all_wiring_words(wiring: Sequence[Effect]) -> str:
+def wiring_words(wiring: Sequence[Effect]) -> str:
+    """Return a wiring for people."""
     return "; ".join(_wiring_words(effect) for effect in wiring)
 
 
 def _undecided(other_wirings: Sequence[list[Effect]]) -> str:
-    others = " or ".join(_all_wiring_words(wiring) for wiring in other_wirings)
+    others = " or ".join(wiring_words(wiring) for wiring in other_wirings)
     return f" These logs cannot tell this wiring from: {others}." if others else ""
 
 
@@ -761,8 +769,9 @@ def to_json(findings: Findings) -> dict[str, Any]:
     unknown = findings.verdict == "unknown_effect"
     found = [_impact_json(impact) for impact in findings.impacts] + passed
     effects, nearest = ([], found) if unknown else (found, [])
-    wirings = [_all_wiring_words(wiring) for wiring in findings.other_wirings]
-    effects = [_wiring_json(effect, wirings) for effect in findings.wiring] + effects
+    others = [_one_wiring(effect) for wiring in findings.other_wirings for effect in wiring]
+    effects = [_wiring_json(effect, others) for effect in findings.wiring] + effects
+    limited = outcome is not None and not outcome.selected
     return {
         "schema": SCHEMA,
         "verdict": findings.verdict,
@@ -801,7 +810,8 @@ def to_json(findings: Findings) -> dict[str, Any]:
             {"model": s.name, "held_out": s.rmse, "relative_force_error": s.force_error}
             for s in findings.steps
         ],
-        "detection_limits": outcome.limits if outcome and not outcome.selected else {},
+        "detection_limits": _limits_json(machine, outcome.limits) if limited else {},
+        "detection_limits_by_wheel": _limits_by_wheel(outcome.limits) if limited else {},
         "base": _base_json(machine, outcome) if outcome else {},
         "split": {
             "how": findings.split.how,
@@ -809,6 +819,31 @@ def to_json(findings: Findings) -> dict[str, Any]:
         },
         "inputs_sha256": findings.inputs,
     }
+
+
+def _limits_json(machine: Machine, limits: dict[str, dict[str, float]]) -> dict[str, Any]:
+    """Return the limit of each effect on whichever wheel shows it least."""
+    worst: dict[str, dict[str, float]] = {}
+    for name, own in limits.items():
+        effect, _ = effect_and_wheel(name)
+        known = worst.setdefault(effect, dict(own))
+        for parameter in list(known):
+            if parameter not in own:  # shown by no size on this wheel
+                del known[parameter]
+            elif machine.infinite_when_absent(effect, parameter):
+                known[parameter] = min(known[parameter], own[parameter])
+            else:
+                known[parameter] = max(known[parameter], own[parameter])
+    return worst
+
+
+def _limits_by_wheel(limits: dict[str, dict[str, float]]) -> dict[str, Any]:
+    by_wheel: dict[str, dict[str, Any]] = {}
+    for name, own in limits.items():
+        effect, wheel = effect_and_wheel(name)
+        if wheel is not None:
+            by_wheel.setdefault(effect, {})[str(wheel)] = own
+    return by_wheel
 
 
 def _curve_json(unknown: Unknown) -> dict[str, Any]:
@@ -828,12 +863,21 @@ def _names(runs: Sequence[Run]) -> list[str]:
     return list(dict.fromkeys(run.name for run in runs))
 
 
-def _wiring_json(effect: Effect, other_wirings: list[str]) -> dict[str, Any]:
+def _one_wiring(effect: Effect) -> dict[str, Any]:
     return {
         "name": effect.name,
         "wheel": effect.wheel,
-        "parameters": dict(effect.parameters),
-        "ambiguous_with": other_wirings,
+        "parameters": {
+            name: {"value": value, "low": value, "high": value}
+            for name, value in effect.parameters.items()
+        },
+    }
+
+
+def _wiring_json(effect: Effect, others: list[dict[str, Any]]) -> dict[str, Any]:
+    return _one_wiring(effect) | {
+        "ambiguous_with": _names_of(others),
+        "rivals": others,
         "separating_manoeuvre": None,
         "evidence": {},
     }
@@ -858,6 +902,7 @@ def _impact_json(impact: Impact) -> dict[str, Any]:
         "run": impact.run,
         "parameters": {IMPACT_KEYS[0]: time_s, **sizes},
         "ambiguous_with": [],
+        "rivals": [],
         "separating_manoeuvre": None,
         "evidence": {},
     }
@@ -876,12 +921,16 @@ def _effect_json(findings: Findings, selected: Selected) -> dict[str, Any]:
     ]
     refines = {label for effect, label in EXTENSIONS if effect == candidate.effect}
     parameters = {machine.file_parameter(n): size for n, size in sizes if n not in refines}
+    rivals = [
+        {"name": name, "wheel": wheel} for name, wheel in map(effect_and_wheel, selected.rivals)
+    ]
     return {
         "name": candidate.effect,
         "wheel": candidate.wheel,
         "parameters": parameters,
         "refinement": {n: size for n, size in sizes if n in refines},
-        "ambiguous_with": list(selected.rivals),
+        "ambiguous_with": _names_of(rivals),
+        "rivals": rivals,
         "separating_manoeuvre": manoeuvre.as_json() if manoeuvre else None,
         "evidence": {
             "gain": evidence.gain,
@@ -891,6 +940,10 @@ def _effect_json(findings: Findings, selected: Selected) -> dict[str, Any]:
             "stability": selected.stability if np.isfinite(selected.stability) else None,
         },
     }
+
+
+def _names_of(rivals: Sequence[dict[str, Any]]) -> list[str]:
+    return list(dict.fromkeys(rival["name"] for rival in rivals))
 
 
 def _table_json(table: GapTable) -> dict[str, Any]:

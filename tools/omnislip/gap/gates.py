@@ -755,13 +755,14 @@ def too_poor(machine: Machine, limits: dict[str, dict[str, float]]) -> str | Non
         candidate.name: {
             machine.file_parameter(candidate.parameters[k].label): candidate.parameters[k].scale
             for k in candidate.amplitudes
+            if np.isfinite(machine.believed[candidate.parameters[k].places[0]])
         }
         for candidate in machine.candidates()
     }
     seen = [
-        any(limit < sizes[name][key] for key, limit in own.items())
+        any(own.get(key, np.inf) < size for key, size in sizes[name].items())
         for name, own in limits.items()
-        if own and name in sizes
+        if sizes.get(name)
     ]
     if not seen or np.mean(seen) >= LEAST_VISIBLE:
         return None

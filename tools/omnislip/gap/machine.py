@@ -106,12 +106,23 @@ class Candidate:
     @property
     def name(self) -> str:
         """Name for people: 'weak_motor (wheel 3)'."""
-        return self.effect if self.wheel is None else f"{self.effect} (wheel {self.wheel})"
+        return name_on_wheel(self.effect, self.wheel)
 
     @property
     def places(self) -> tuple[int, ...]:
         """Where its parameters stand in the flat vector, which has the catalogue's order."""
         return tuple(place for parameter in self.parameters for place in parameter.places)
+
+
+def name_on_wheel(effect: str, wheel: int | None) -> str:
+    """Return the name for people of an effect on one wheel, or (None) on all."""
+    return effect if wheel is None else f"{effect} (wheel {wheel})"
+
+
+def effect_and_wheel(name: str) -> tuple[str, int | None]:
+    """Return effect and wheel of such a name."""
+    effect, _, wheel = name.removesuffix(")").partition(" (wheel ")
+    return effect, int(wheel) if wheel else None
 
 
 def axis_is_linear(model: Model) -> bool:
@@ -239,6 +250,11 @@ class Machine:
     def file_parameter(self, parameter: str) -> str:
         """Return the name of a catalogue parameter in this machine's files."""
         return axis_names(self.model.values).get(parameter, parameter)
+
+    def infinite_when_absent(self, effect: str, file_parameter: str) -> bool:
+        """Whether a size, by its name in this machine's files, is infinite without the effect."""
+        label = self._catalogue_parameter(file_parameter)
+        return bool(np.isinf(self.believed[self.place(effect, label, None)[0]]))
 
     def unit(self, effect: str, parameter: str) -> str:
         """Return the unit of a catalogue parameter on this machine."""

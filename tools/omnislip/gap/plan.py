@@ -33,7 +33,7 @@ from scipy.stats import norm
 from omnislip.errors import InputError
 from omnislip.files import nearest, write_text
 from omnislip.gap.inference import Data, Fit, Hypothesis, fit, linearise, objective
-from omnislip.gap.machine import PATCH, Candidate, Machine
+from omnislip.gap.machine import PATCH, Candidate, Machine, effect_and_wheel, name_on_wheel
 from omnislip.gap.noise import Noise, first_guess
 from omnislip.gap.recordings import (
     ELECTRIC_CHANNELS,
@@ -413,11 +413,11 @@ def read_gap(path: Path) -> Question:
         channels = tuple((result.get("gap") or {}).get("channels") or ROBOT_CHANNELS)
         unsure = [effect for effect in effects if effect.get("ambiguous_with")]
         for effect in unsure:
-            rivals = [rival for rival in effect["ambiguous_with"] if _can_be_driven(rival)]
+            rivals = [_name_of(rival) for rival in _rivals_of(effect) if _can_be_driven(rival)]
             if rivals and effect["name"] not in NOT_DRIVEN:
                 sizes = {k: float(v["value"]) for k, v in effect["parameters"].items()}
                 return Question([_name_of(effect), *rivals], {_name_of(effect): sizes}, channels)
-        sets = [" from ".join([_name_of(e), *e["ambiguous_with"]]) for e in unsure]
+        sets = [" from ".join(map(_name_of, (e, *_rivals_of(e)))) for e in unsure]
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
     except (ValueError, KeyError, TypeError, AttributeError):
@@ -427,14 +427,20 @@ def read_gap(path: Path) -> Question:
     raise InputError(f"{path}: names no effect that cannot be told from another")
 
 
+def _rivals_of(effect: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """Rivals with their wheels, where the file has them."""
+    return effect.get("rivals") or [{"name": name} for name in effect["ambiguous_with"]]
+
+
 def _name_of(effect: Mapping[str, Any]) -> str:
-    wheel = effect.get("wheel")
-    return effect["name"] + ("" if wheel is None else f" (wheel {wheel})")
+    if not isinstance(effect["name"], str):
+        raise TypeError
+    return name_on_wheel(effect["name"], effect.get("wheel"))
 
 
-def _can_be_driven(rival: str) -> bool:
+def _can_be_driven(rival: Mapping[str, Any]) -> bool:
     """A patch has its place only in a gap.json that names it as an effect."""
-    return rival.partition(" ")[0] not in (*NOT_DRIVEN, PATCH)
+    return rival["name"] not in (*NOT_DRIVEN, PATCH)
 
 
 def write_plan(best: Separation, directory: Path, robot: Path) -> Path:
@@ -469,6 +475,9 @@ def _rate_of(run: Run) -> int:
 
 def _named(machine: Machine, name: str) -> Candidate:
     """The candidate of a name; of a patch in the floor the question says the place."""
+    effect, _ = effect_and_wheel(name)
+    if effect in NOT_DRIVEN:
+        raise InputError(f"no manoeuvre is for {effect}: gap find tells it from any motion")
     candidates = [*machine.candidates(), machine.patch(np.zeros(1))]
     known = {candidate.name: candidate for candidate in candidates}
     if name in machine.catalogue and name not in known:

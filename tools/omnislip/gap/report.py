@@ -18,7 +18,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from omnislip.gap import answers, find, inference, leftover, metrics, report_pictures, search
 from omnislip.gap.find import Findings, to_json
-from omnislip.gap.machine import Candidate, Machine
+from omnislip.gap.machine import Candidate, Machine, effect_and_wheel, name_on_wheel
 from omnislip.gap.metrics import Replays
 from omnislip.gap.recordings import ODOMETRY_CHANNELS
 from omnislip.gap.search import Trial
@@ -86,7 +86,7 @@ def render(findings: Findings, command_line: str) -> str:
             where=_where(findings),
             overlays=_overlays(findings),
             steps=_steps(findings),
-            limits=_limits(findings, numbers["detection_limits"]),
+            limits=_limits(findings) if numbers["detection_limits"] else [],
             keys=_keys(numbers["base"]),
             held_out=_names(findings.split.held_out),
             command_line=command_line,
@@ -165,13 +165,13 @@ def _effects(findings: Findings, numbers: Json) -> list[Json]:
     gates = [
         nothing
         | {
-            "name": effect.name
-            if effect.wheel is None
-            else f"{effect.name} (wheel {effect.wheel})",
+            "name": name_on_wheel(effect.name, effect.wheel),
             "entry": GATE_TEXTS[effect.name],
-            "rivals": [(wiring, "another wiring") for wiring in found["ambiguous_with"]],
+            "rivals": [
+                (find.wiring_words(wiring), "another wiring") for wiring in findings.other_wirings
+            ],
         }
-        for effect, found in zip(findings.wiring, numbers["effects"], strict=False)
+        for effect in findings.wiring
     ]
     if pushes:
         rows = [
@@ -188,7 +188,7 @@ def _effects(findings: Findings, numbers: Json) -> list[Json]:
                 {"name": name, "unit": _unit(machine, selected.candidate, name), **size}
                 for name, size in (effect["parameters"] | effect["refinement"]).items()
             ],
-            "rivals": [(rival, _summary(machine, rival)) for rival in effect["ambiguous_with"]],
+            "rivals": [(rival, _summary(machine, rival)) for rival in selected.rivals],
             "stability": effect["evidence"]["stability"],
             "manoeuvre": effect["separating_manoeuvre"],
         }
@@ -206,7 +206,7 @@ def _unit(machine: Machine, candidate: Candidate, file_name: str) -> str:
 
 
 def _summary(machine: Machine, candidate_name: str) -> str:
-    return machine.catalogue[candidate_name.split(" ")[0]]["summary"]
+    return machine.catalogue[effect_and_wheel(candidate_name)[0]]["summary"]
 
 
 def _has_effect(findings: Findings) -> bool:
@@ -339,11 +339,12 @@ def _trial_sizes(machine: Machine, trial: Trial) -> list[str]:
     return sizes
 
 
-def _limits(findings: Findings, limits: dict[str, dict[str, float]]) -> list[Json]:
-    """Detection limits, the best seen effects first (limit over the size worth looking for)."""
-    if not limits:
-        return []
-    machine, rows = findings.machine, []
+def _limits(findings: Findings) -> list[Json]:
+    """Detection limits, the best seen effects first (limit over the size worth looking for).
+
+    Of what is infinite when absent what is smaller is seen.
+    """
+    machine, limits, rows = findings.machine, findings.outcome.limits, []
     patches = machine.floor_candidates(findings.split.fitting)
     for candidate in (*machine.candidates(), *patches):
         for index in candidate.amplitudes:
@@ -353,6 +354,8 @@ def _limits(findings: Findings, limits: dict[str, dict[str, float]]) -> list[Jso
             if limit is None:
                 continue
             neutral = machine.believed[parameter.places[0]]
+            room = max(parameter.high - neutral, neutral - parameter.low)
+            ratio = limit / parameter.scale
             rows.append(
                 {
                     "effect": candidate.name,
@@ -361,12 +364,13 @@ def _limits(findings: Findings, limits: dict[str, dict[str, float]]) -> list[Jso
                     "unit": _unit(machine, candidate, name),
                     "limit": limit,
                     "typical": parameter.scale,
-                    "hidden": limit > parameter.scale,
+                    "ratio": ratio if np.isfinite(neutral) else 1.0 / ratio,
+                    "below": not np.isfinite(neutral),
                     "many": len(candidate.amplitudes) > 1,
-                    "visible": limit <= max(parameter.high - neutral, neutral - parameter.low),
+                    "visible": limit <= room,
                 }
             )
-    return sorted(rows, key=lambda row: row["limit"] / row["typical"])
+    return sorted(rows, key=lambda row: row["ratio"])
 
 
 def _keys(base: Json) -> Json | None:

@@ -86,6 +86,8 @@ passes settles again; and change of Q by what the fit moved that ends it."""
 PATCH_SCALES, PATCH_SHARE = (0.3, 0.5, 0.7, 0.9), 0.2
 """Grips of a patch to try; share of the best promise from which its edges are looked for: those of
 the screen are coarse, but explain more than a fifth of what the right ones do."""
+NEAR_BY_PLACES = 0.5
+"""Share of the best gain that a patch must reach by the places of a grid for finer ones."""
 FINE_PLACES, EDGE_HALVINGS, EDGE_STEPS = np.linspace(-1.0, 1.0, 33), 3, np.array([-1.0, 1.0])
 """An edge moves over a grid, then over a finer one (beside the right effects 10 mm decide), then by
 halves, quarters and eighths of its spacing."""
@@ -169,7 +171,8 @@ class Screened:
     candidate: Candidate
     start: Array
     limit: Array
-    """Sizes, in steps of the screen, whose gain would stand out from chance."""
+    """Sizes, in steps of the screen, whose gain would stand out from chance; of a size that is
+    infinite when absent the largest start whose gain would, or 0."""
 
 
 def search(
@@ -322,9 +325,13 @@ def screen(data: Data, current: Fit, candidates: Sequence[Candidate]) -> list[Sc
     for number, (candidate, start) in enumerate(variants):
         own = [i for i, o in enumerate(owners) if o == number]
         found = _promise(data, current, candidate, start, columns[:, own], free[:, own])
-        best = ranked.get(candidate.name)
-        if best is None or found.promise > best.promise:
-            ranked[candidate.name] = found
+        best = ranked.get(candidate.name, found)
+        infinite = ~np.isfinite(_neutral(data, current.hypothesis, candidate))
+        infinite = infinite[list(candidate.amplitudes)]
+        farthest = np.maximum(found.limit, best.limit)
+        better = found if found.promise > best.promise else best
+        limit = np.where(infinite, farthest, better.limit)
+        ranked[candidate.name] = replace(better, limit=limit)
     return sorted(ranked.values(), key=lambda s: -s.promise)
 
 
@@ -399,7 +406,11 @@ def _promise(
         sizes[index] = start.get(index, amount[k])
     inflation = inflation_of(data, free, current.residual + free @ amount, gram)
     visible = max(VISIBLE_GAIN, data.feigned_gain)
-    limit = np.sqrt(visible * inflation / np.maximum(np.diag(gram), 1e-12))
+    least, gains = visible * inflation, np.maximum(np.diag(gram), 1e-12)
+    limit = np.sqrt(least / gains)
+    for k, index in enumerate(candidate.amplitudes):
+        if index in start:
+            limit[k] = start[index] if gains[k] >= least else 0.0
     return Screened(promise, candidate, sizes, limit)
 
 
@@ -466,8 +477,9 @@ def _refit(data: Data, current: Fit, screened: Sequence[Screened]) -> list[Fit]:
         own[int(np.argmin(c))] for own, c in zip(offered, np.split(costs, edges), strict=True)
     ]
     hopeful = PATCH_SHARE * max(one.promise for one in screened)
+    wanted = current.objective - NEAR_BY_PLACES * (current.objective - float(costs.min()))
     starts = [
-        _edges_moved(data, current, start) if one.promise >= hopeful else start
+        _edges_moved(data, current, start, wanted) if one.promise >= hopeful else start
         for one, start in zip(screened, starts, strict=True)
     ]
     fits = fit_more(data, current, starts)
@@ -479,10 +491,11 @@ def _refit(data: Data, current: Fit, screened: Sequence[Screened]) -> list[Fit]:
     return fits
 
 
-def _edges_moved(data: Data, current: Fit, start: Hypothesis) -> Hypothesis:
+def _edges_moved(data: Data, current: Fit, start: Hypothesis, wanted: float = np.inf) -> Hypothesis:
     """Move the edges of a patch in the floor to where they explain most, in turn, or a threshold.
 
-    No derivative leads there: only rows at the edge itself have one. Other effects stay.
+    No derivative leads there: only rows at the edge itself have one. Other effects stay. Edges are
+    refined where the patch costs no more than `wanted`.
     """
     candidate = start.effects[-1]
     if candidate.effect in THRESHOLDS:
@@ -493,6 +506,10 @@ def _edges_moved(data: Data, current: Fit, start: Hypothesis) -> Hypothesis:
     everywhere = np.array(candidate.edges_m)
     fine_m = spacing_m * np.diff(FINE_PLACES).max()
     steps_m = [fine_m * EDGE_STEPS / 2**level for level in range(1, EDGE_HALVINGS + 1)]
+    for edge in (0, 1):
+        start = _edge_moved(data, current, start, edge, everywhere, PATCH_SCALES)
+    if costs_refitted(data, current, [start])[0] > wanted:
+        return start
     for edge in (0, 1, 0, 1):
         start = _edge_moved(data, current, start, edge, everywhere, PATCH_SCALES)
         for near_m in (spacing_m * FINE_PLACES, *steps_m):
@@ -1192,12 +1209,15 @@ def stability_of(data: Data, final: Fit, others: Sequence[Fit]) -> float:
 
 
 def _limit(machine: Machine, screened: Screened) -> dict[str, float]:
-    """Smallest size of each parameter that this data would have shown; absent means size 0."""
-    candidate = screened.candidate
-    return {
-        machine.file_parameter(candidate.parameters[index].label): float(
-            abs(_reach(candidate, machine, index)) * screened.limit[k]
-        )
-        for k, index in enumerate(candidate.amplitudes)
-        if np.isfinite(machine.believed[candidate.parameters[index].places[0]])
-    }
+    """Smallest size of each parameter that this data would have shown; absent means size 0.
+
+    Of a size that is infinite when absent the largest, if there is one.
+    """
+    candidate, limits = screened.candidate, {}
+    for limit, index in zip(screened.limit, candidate.amplitudes, strict=True):
+        parameter = candidate.parameters[index]
+        if np.isfinite(machine.believed[parameter.places[0]]):
+            limit = abs(_reach(candidate, machine, index)) * limit
+        if limit > 0:
+            limits[machine.file_parameter(parameter.label)] = float(limit)
+    return limits
