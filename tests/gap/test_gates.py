@@ -203,6 +203,41 @@ def test_what_an_effect_can_say_is_no_mistake(name, wheel, tmp_path):
     assert (checked.complaint, checked.cuts) == (None, [])
 
 
+def turning(turn_rad_s, against_m_s, body_rad_s):
+    """A log of wheels that turn a body at a rate (rows,) and work against each other.
+
+    The body turns at another one.
+    """
+    log = drive()
+    step_s = np.gradient(log.t_s)
+    rim_m_s = 0.2 * turn_rad_s[:, None] + np.outer(against_m_s, [1, -1, 1, -1])
+    angle = np.cumsum(rim_m_s * step_s[:, None], axis=0) / 0.05
+    noise = 0.003 * np.random.default_rng(1).standard_normal(len(log.t_s))
+    columns = {
+        name: np.floor(12 * 2000 * a / (2 * np.pi)) for name, a in zip(COUNTS, angle.T, strict=True)
+    }
+    columns |= {f"wheel/{w + 1}/duty": 0.3 * rim_m_s[:, w] for w in range(4)}
+    columns |= {name: 0.0 * log.columns[name] for name in POSE}
+    columns["pose/theta_rad"] += np.cumsum(body_rad_s * step_s)
+    return replace(log, columns=log.columns | columns | {"gyro/z_rad_s": body_rad_s + noise})
+
+
+def test_wheels_that_work_against_each_other_tell_no_scale():
+    """One that grips better turns the body, whatever the wheels' mean says."""
+    swing = np.sin(np.pi * drive().t_s)
+    assert check(MACHINE, [turning(0.4 * swing, 0.8 * swing, 2.8 * swing)]).complaint is None
+    assert check(MACHINE, [turning(0.4 * swing, 0.02 * swing, 2.8 * swing)]).complaint is not None
+
+
+def test_little_turning_tells_no_scale():
+    """Where wheels slide for half a second the body may turn the other way."""
+    moment = np.abs(drive().t_s - 4.0)
+    brief, long = 0.3 * (moment < 0.3), 0.3 * (moment < 2.0)
+    nothing = 0.0 * moment
+    assert check(MACHINE, [turning(-brief, nothing, brief)]).complaint is None
+    assert "sign reversed" in check(MACHINE, [turning(-long, nothing, long)]).complaint
+
+
 def test_hard_slip_is_no_late_sensor():
     """Duty steps beyond the grip: the body turns a tenth of a second after the wheels."""
     scenario = read_scenario(NOMINAL_ROBOT.parents[1] / "scenarios" / "identification.toml")

@@ -54,6 +54,8 @@ UNITS = {
     "pose/theta_rad": {180 / np.pi: "degrees", 1e3: "thousandths of rad"},
     "pose/x_m": {1e3: "millimetres", 1e2: "centimetres", 1e-3: "kilometres"},
 }
+LEAST_TURN_RAD_S, LEAST_TURN_RAD = 0.2, 0.5
+"""Turning, and how far in all, by which a scale can be told."""
 STEP_M, STEP_M_S = 0.05, 1.0
 TURN_RAD, TURN_RAD_S = 0.15, 2.0
 """How far a picture may be from where its neighbours' motion puts it: offset, rate."""
@@ -398,7 +400,10 @@ def _clipped_gyro(machine: Machine, log: Log) -> str | None:
 def _windows(
     machine: Machine, log: Log, name: str, rolling_only: bool = False
 ) -> tuple[Array, Array]:
-    """Way of wheels and of a pose column over windows of 0.2 s, where the wheels move at all."""
+    """Way of wheels and of a pose column over windows of 0.2 s, where the wheels move at all.
+
+    Nothing where they move too little to tell a scale: sliding wheels go a little to either side.
+    """
     own = [name] if name == "pose/theta_rad" else POSE_COLUMNS[:2]
     rows = _sampled(log, *(POSE_COLUMNS if rolling_only else own))
     if rows.size < 10:
@@ -416,7 +421,22 @@ def _windows(
     moving = np.abs(wheels) > (0.05 if name == "pose/theta_rad" else 0.03)
     if rolling_only:
         moving &= _rolling(machine, log, rows, stride)
+    way = _wheel_travel_m(machine, log)[rows]
+    moving &= _pulling_together(machine, way[stride:] - way[:-stride])
+    least = LEAST_TURN_RAD if name == "pose/theta_rad" else LEAST_WAY_M
+    if not rolling_only and np.sum(np.abs(wheels[moving])) < least * stride:
+        return np.empty(0), np.empty(0)
     return wheels[moving], shown[moving]
+
+
+def _pulling_together(machine: Machine, way: Array) -> npt.NDArray[np.bool_]:
+    """Where the ways of the wheels (n, 4) have more that moves a body than works against itself.
+
+    Elsewhere what the body does says which wheel grips better, not what a turn of the wheels is.
+    """
+    jacobian = wheel_jacobian(machine)
+    body = way @ np.linalg.pinv(jacobian).T @ jacobian.T
+    return np.abs(way - body).max(axis=1) < np.abs(body).max(axis=1)
 
 
 def _rolling(
@@ -453,8 +473,12 @@ def _wrong_scale(machine: Machine, log: Log) -> str | None:
     rates = _turn_rates(machine, log)
     pairs = {}
     if rates is not None:
-        turning = np.abs(rates[1]) > 0.2
-        pairs["gyro/z_rad_s"] = (rates[1][turning], rates[2][turning])
+        grid, wheels, shown = rates
+        travel = _wheel_travel_m(machine, log).T
+        rim = np.gradient([np.interp(grid, log.t_s, way) for way in travel], GRID_S, axis=1).T
+        turning = (np.abs(wheels) > LEAST_TURN_RAD_S) & _pulling_together(machine, rim)
+        if GRID_S * np.sum(np.abs(wheels[turning])) > LEAST_TURN_RAD:
+            pairs["gyro/z_rad_s"] = (wheels[turning], shown[turning])
     for name in ("pose/theta_rad", "pose/x_m"):
         pairs[name] = _windows(machine, log, name)
     for name, (wheels, shown) in pairs.items():
