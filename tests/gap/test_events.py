@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from omnislip.gap import events
+from omnislip.gap import events, recordings
 from omnislip.gap.events import (
     Impact,
     as_effect,
@@ -18,8 +18,8 @@ from omnislip.gap.machine import Machine
 from omnislip.gap.recordings import make_run
 from omnislip.gap.search import first_model
 from omnislip.gap.truth import TruthCase, write_case
-from omnislip.log_file import Log, read_log
-from omnislip.model_file import read_model, write_model
+from omnislip.log_file import POSE_COLUMNS, Log, read_log
+from omnislip.model_file import NOMINAL_ROBOT, read_model, write_model
 
 PUSHES = [(1.5, -1.0, 0.0), (-0.5, 6.0, 0.1)]
 
@@ -153,3 +153,54 @@ def test_a_log_is_cut_at_its_own_pushes_and_short_pieces_are_dropped():
     cut = pieces(log, [("run_02", 2.0), ("run_02", 2.5), ("run_01", 4.0)])
     spans = [(t_s[a], t_s[b - 1]) for a, b in cut]
     assert spans == [(0.0, pytest.approx(1.98)), (pytest.approx(2.55), pytest.approx(5.99))]
+
+
+# ---- commands that jump within a row ----
+
+ROBOT = Machine(read_model(NOMINAL_ROBOT))
+FULL = np.array([[1.0, 1.0, 1.0, 1.0], [1.0, -1.0, -1.0, 1.0], [1.0, 1.0, -1.0, -1.0]])
+"""Duties that turn a robot, or move it along an axis."""
+PARTS = 10
+
+
+def jumping_log(seed):
+    """4 s of a robot whose duties jump at any time, with noise; rows of 5 ms."""
+    rng = np.random.default_rng(seed)
+    rows, at = 800, 200
+    t_s = np.arange(rows * PARTS + 1) * 5e-3 / PARTS
+    duty = np.zeros((len(t_s), 4))
+    while at < len(t_s):
+        steps, level = int(rng.integers(300, 900)), 0.3 * rng.uniform(-1.0, 1.0, 4)
+        if rng.integers(0, 3) == 0:
+            steps = int(rng.integers(60, 200))
+            level = rng.choice([-1.0, 1.0]) * FULL[rng.integers(0, 3)]
+        duty[at : at + steps] = level
+        at += steps
+    silent, still = np.zeros((len(t_s), 8)), np.zeros(14)
+    finely = ROBOT.engine.recording(t_s, duty, silent, still)
+    tracks = ROBOT.engine.track([finely], ROBOT.believed, still, np.ones(8), still)
+    [[error]] = ROBOT.engine.replays([finely], tracks, ROBOT.believed[None], 2.5e-4, 1e9)
+    shown = -error[::PARTS]
+    mean = duty[:-1].reshape(rows, PARTS, 4).mean(axis=1)
+    columns = {f"wheel/{w + 1}/duty": np.append(mean[:, w], duty[-1, w]) for w in range(4)}
+    counts = np.floor(shown[:, :4] * 2000 / (2 * np.pi))
+    columns |= {f"wheel/{w + 1}/encoder_counts": counts[:, w] for w in range(4)}
+    columns["gyro/z_rad_s"] = shown[:, 4] + 0.004 * rng.standard_normal(rows + 1)
+    pose = shown[:, 5:8] + rng.standard_normal((rows + 1, 3)) * [1e-3, 1e-3, 3e-3]
+    pose[np.arange(rows + 1) % 4 != 0] = np.nan
+    columns |= {name: pose[:, k] for k, name in enumerate(POSE_COLUMNS)}
+    return Log(f"run_{seed:02d}", t_s[::PARTS], columns)
+
+
+def test_a_jump_of_the_command_within_a_row_is_no_push(monkeypatch):
+    """To full duty, beyond the grip; taken as held for the row it feigns one of 0.08 m/s."""
+    logs = [jumping_log(seed) for seed in range(8, 12)]
+
+    def found():
+        runs = [make_run(ROBOT, log) for log in logs]
+        noise, model = first_model(ROBOT, runs)
+        return find_impacts(ROBOT, runs, model.flat(ROBOT.believed), noise)
+
+    assert found() == []
+    monkeypatch.setattr(recordings, "_parted_at_jumps", lambda *rows: (*rows, np.zeros(0, np.intp)))
+    assert found() != []

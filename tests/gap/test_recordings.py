@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from axis_bench import Bench, make_log, make_machine
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import Noise, track_all
@@ -145,3 +145,78 @@ def test_axis_has_one_channel_in_its_own_unit(tmp_path):
     np.testing.assert_array_equal(run.outputs[:, 0], log.columns["axis/position_m"])
     np.testing.assert_array_equal(run.command[:, 0], log.columns["axis/command"])
     np.testing.assert_array_equal(run.scale, [1.0])
+
+
+# ---- commands that jump within a row ----
+
+
+LEVELS = st.lists(st.floats(-1.0, 1.0), min_size=4, max_size=4).map(np.array)
+
+
+def driven(duty, t_s=None):
+    """Log of a robot at rest that is given duties (rows, 4)."""
+    log = log_of(np.zeros(3), rows=len(duty))
+    duties = {f"wheel/{w + 1}/duty": duty[:, w] for w in range(4)}
+    return replace(log, t_s=log.t_s if t_s is None else t_s, columns=log.columns | duties)
+
+
+@given(
+    before=LEVELS,
+    after=LEVELS,
+    share=st.floats(0.1, 0.9),
+    jitter=st.lists(st.floats(0.003, 0.012), min_size=13, max_size=13),
+)
+def test_a_row_in_which_commands_jump_is_parted_at_that_instant(before, after, share, jitter):
+    """Levels, instant and way of the commands are those before they were logged as means."""
+    assume(np.abs(after - before).max() > 0.2)
+    t_s = np.concatenate([[0.0], np.cumsum(jitter)])
+    mean = share * before + (1.0 - share) * after
+    run = make_run(ROBOT, driven(np.vstack([[before] * 6, [mean], [after] * 7]), t_s))
+    assert run.jumped.tolist() == [7]
+    assert run.t_s[7] == pytest.approx(t_s[6] + share * (t_s[7] - t_s[6]), abs=1e-9)
+    np.testing.assert_allclose(run.command, np.vstack([[before] * 7, [after] * 8]), atol=1e-9)
+    assert np.isnan(run.outputs[7]).all()
+    rest = np.delete(np.arange(15), 7)
+    np.testing.assert_array_equal(run.t_s[rest], t_s)
+    assert not np.isnan(run.outputs[rest, :4]).any()
+
+
+@given(before=LEVELS, after=LEVELS, share=st.floats(0.1, 0.9), back=st.floats(0.0, 0.3))
+def test_a_jump_that_a_controller_takes_back_keeps_the_mean_of_its_row(before, after, share, back):
+    jump = after - before
+    assume(np.abs(jump).max() > 0.3 and np.abs(after).max() < 0.8)
+    mean = share * before + (1.0 - share) * after
+    fading = [before + jump * (1.0 - back) ** k for k in range(7)]
+    run = make_run(ROBOT, driven(np.vstack([[before] * 6, [mean], fading])))
+    assert run.jumped.tolist() == [7]
+    parts_s = np.diff(run.t_s)[6:8]
+    np.testing.assert_allclose(parts_s @ run.command[6:8], 0.005 * mean, atol=1e-12)
+
+
+JUMP_OF_TWO = np.array([0.6, -0.6, 0.0, 0.0])
+NO_JUMPS = {
+    "held": np.zeros((14, 4)),
+    "with the row": np.outer(np.arange(14) >= 7, JUMP_OF_TWO),
+    "a ramp": np.outer(np.arange(14), 0.07 * np.ones(4)),
+    "a ramp that begins": np.outer(np.maximum(np.arange(14) - 6.5, 0.0), 0.13 * np.ones(4)),
+    "a small one": np.outer([0.0] * 6 + [0.03] + [0.06] * 7, np.ones(4)),
+    "each wheel at another time": np.vstack(
+        [np.zeros((6, 4)), [[0.1, 0.5, 0.3, 0.6]], np.full((7, 4), 0.7)]
+    ),
+    "out of saturation": np.outer([1.0] * 7 + [0.9 * 0.6**k for k in range(7)], np.ones(4)),
+    "with the row, taken back": np.outer(
+        [0.0] * 7 + [1.0, 0.94, 0.39, 0.13, 0.07, 0.09, 0.12], np.ones(4)
+    ),
+    "at the log's end": np.outer([0.0] * 12 + [0.3, 0.6], np.ones(4)),
+}
+
+
+@pytest.mark.parametrize("duty", NO_JUMPS.values(), ids=NO_JUMPS.keys())
+def test_no_other_row_is_parted(duty):
+    run = make_run(ROBOT, driven(duty))
+    assert run.jumped.size == 0
+    np.testing.assert_array_equal(run.command, duty)
+
+
+def test_a_log_of_three_rows_has_no_jump():
+    assert make_run(ROBOT, driven(np.zeros((3, 4)))).jumped.size == 0

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from omnislip.gap import inference
+from omnislip.gap import inference, recordings
 from omnislip.gap.inference import Data
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import CURRENT, STEP_S, track_all, track_recordings, tune_noise
@@ -142,23 +142,23 @@ def test_a_log_driven_in_open_loop_hides_only_how_its_commands_rise_within_rows(
 
 
 @pytest.mark.parametrize("seed", [11, 16])
-def test_commands_that_rise_within_rows_feign_no_lag(seed, monkeypatch):
-    """Smooth driving in open loop, and only with the columns."""
-    data = data_of(seed=seed, excitation="ordinary", noise_level=0.3)
-    assert max(promises(data).values()) < CHANCE
+def test_what_rows_hide_feigns_no_lag(seed, monkeypatch):
+    """Smooth driving with steps in open loop: not with the columns and rows parted at jumps."""
+    case = {"seed": seed, "excitation": "ordinary", "noise_level": 0.3}
+    assert max(promises(data_of(**case)).values()) < CHANCE
+    monkeypatch.setattr(recordings, "_parted_at_jumps", not_parted)
     monkeypatch.setattr(inference, "hidden_columns", no_columns)
-    bare = Data(data.machine, data.runs, data.noise, believed_hypothesis(data.machine))
-    assert max(promises(bare).values()) > 2 * CHANCE
+    assert max(promises(data_of(**case)).values()) > 2 * CHANCE
 
 
 @pytest.mark.parametrize("seed", [11, 16])
-def test_commands_that_rise_within_rows_feign_no_soft_gear(seed, monkeypatch):
+def test_jumps_within_rows_feign_no_soft_gear(seed, monkeypatch):
     """Where wheels grip, the contact settles within a row: nor a lag of it, in rich driving."""
-    data = data_of(seed=seed, excitation="rich", noise_level=0.5)
-    assert max(promises(data, SETTLING).values()) < chi2.isf(0.01, 2)
+    case = {"seed": seed, "excitation": "rich", "noise_level": 0.5}
     monkeypatch.setattr(inference, "hidden_columns", no_columns)
-    bare = Data(data.machine, data.runs, data.noise, believed_hypothesis(data.machine))
-    assert min(promises(bare, SETTLING).values()) > 2 * chi2.isf(0.01, 2)
+    assert max(promises(data_of(**case), SETTLING).values()) < chi2.isf(0.01, 2)
+    monkeypatch.setattr(recordings, "_parted_at_jumps", not_parted)
+    assert min(promises(data_of(**case), SETTLING).values()) > 2 * chi2.isf(0.01, 2)
 
 
 def test_currents_at_the_begin_of_a_row_are_half_a_rise_off(electric):
@@ -192,3 +192,7 @@ def test_a_straight_command_rises_by_its_rate_times_the_row(electric, from_befor
 
 def no_columns(machine, runs, tracks, values):
     return np.zeros((sum(len(run.t_s) for run in runs) * machine.engine.outputs, 0))
+
+
+def not_parted(t_s, command, outputs):
+    return t_s, command, outputs, np.zeros(0, np.intp)

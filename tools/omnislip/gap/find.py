@@ -578,6 +578,7 @@ def _travel(run: Run, motor: int) -> float:
     """Way of a motor in steps of its sensor; an odometry is driven by its encoders."""
     driven = run.channels == ODOMETRY_CHANNELS
     way = np.cumsum(run.command[:, motor]) if driven else run.outputs[:, motor]
+    way = way[~np.isnan(way)]
     return float(np.ptp(way)) / _resolution(way)
 
 

@@ -67,16 +67,23 @@ def _rising(runs: Sequence[Run], rises: Sequence[Array]) -> list[_core.Recording
 def rise_of(run: Run, from_before: bool) -> Array:
     """Return by how much commands rise within each row (rows, 4), if they move smoothly.
 
-    At the rate from the row before, or that of a parabola through the means of three rows.
+    At the rate from the row before, or that of a parabola through the means of three rows; jumps
+    are no rates.
     """
-    length_s = np.diff(run.t_s)
-    middle_s = run.t_s[:-1] + 0.5 * length_s
-    command, nothing = run.command[:-1], np.zeros(run.command.shape[1])
+    length_s = np.diff(run.t_s)[:, None]
+    way_s = 0.5 * (length_s[1:] + length_s[:-1])
+    rates = np.diff(run.command[:-1], axis=0) / way_s
+    rates[run.jumped - 1] = np.nan
+    none = np.full((1, run.command.shape[1]), np.nan)
+    before, after = np.vstack([none, rates]), np.vstack([rates, none])
     if from_before:
-        rate = np.vstack([nothing, np.diff(command, axis=0) / np.diff(middle_s)[:, None]])
+        before[0] = 0.0
+        between = before
     else:
-        rate = np.gradient(command, middle_s, axis=0)
-    return np.vstack([rate * length_s[:, None], nothing])
+        reach_s = np.vstack([none[:, :1], way_s, none[:, :1]])
+        between = (reach_s[1:] * before + reach_s[:-1] * after) / (reach_s[1:] + reach_s[:-1])
+    rate = np.where(np.isnan(between), np.where(np.isnan(before), after, before), between)
+    return np.vstack([np.nan_to_num(rate) * length_s, np.zeros_like(none)])
 
 
 def whitened_response(

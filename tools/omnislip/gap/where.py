@@ -118,7 +118,7 @@ def _coordinates(run: Run, state: Array) -> dict[str, Array]:
     if run.channels == ODOMETRY_CHANNELS:
         return _motion(run)
     motors = run.command.shape[1]
-    angles = run.outputs[:, :motors]
+    angles = _everywhere(run, run.outputs[:, :motors])
     speed = np.gradient(angles, run.t_s, axis=0)
     speed = _smooth(speed)
     acceleration = np.gradient(speed, run.t_s, axis=0)
@@ -148,11 +148,15 @@ def _body_motion(run: Run, state: Array) -> dict[str, Array]:
     }
 
 
+def _everywhere(run: Run, outputs: Array) -> Array:
+    """Outputs (rows, channels) also where they were not sampled, straight between samples."""
+    seen = [(run.t_s[~np.isnan(values)], values[~np.isnan(values)]) for values in outputs.T]
+    return np.stack([np.interp(run.t_s, *samples) for samples in seen], axis=1)
+
+
 def _motion(run: Run) -> dict[str, Array]:
     """The same of an odometry, from its measured pose."""
-    pose = np.stack(
-        [np.interp(run.t_s, run.t_s[~np.isnan(c)], c[~np.isnan(c)]) for c in run.outputs.T], axis=1
-    )
+    pose = _everywhere(run, run.outputs)
     rate = _smooth(np.gradient(pose, run.t_s, axis=0))
     along = (rate[:, 0] + 1j * rate[:, 1]) * np.exp(-1j * pose[:, 2])
     return {
