@@ -54,7 +54,9 @@ STEPS_ALIKE = 1.02
 """Sets faster than the first by up to this take its steps: what steps change is no derivative."""
 DIVERGED = 1e3
 """Whitened residual of a model with which the frozen predictor is not stable."""
-CONVERGED = 0.05
+CONVERGED, NEAR_THE_END = 0.05, 1.0
+"""Gain of Q below which a fit ends; the same of a step that kept what it promised: what the next
+one gains is of second order in it."""
 LEAST_INFORMATION = 1e-6
 FEW_BLOCKS = 3
 """Blocks that make an inflation, up to which they may be left out."""
@@ -180,6 +182,17 @@ class Fit:
         own = hypothesis.own(index)
         scale = np.array([p.scale for p in hypothesis.parameters[own]])
         return whole[own, own] * np.outer(scale, scale)
+
+    def refitted_without(self, data: "Data", index: int) -> "Fit":
+        """Return the fit without effect number `index`, to the data of this fit."""
+        if index not in self._refits:
+            last = np.delete(self.jacobian, self.hypothesis.own(index), axis=1)
+            self._refits[index] = fit(data, self.hypothesis.without(index), last=last)
+        return self._refits[index]
+
+    @cached_property
+    def _refits(self) -> dict[int, "Fit"]:
+        return {}
 
     def sharing(self, index: int) -> "Fit":
         """Return this fit without the columns of effect number `index`; the others stay there."""
@@ -466,17 +479,24 @@ def _secants(
     return residuals, columns
 
 
-def fit(data: Data, hypothesis: Hypothesis, iterations: int = 10) -> Fit:
-    """Minimise Q by Gauss-Newton within bounds."""
+def fit(data: Data, hypothesis: Hypothesis, iterations: int = 10, last: Array | None = None) -> Fit:
+    """Minimise Q by Gauss-Newton within bounds.
+
+    `last` is the derivative (m, parameters) of a model nearby, which sizes the secants.
+    """
     scale = np.array([p.scale for p in hypothesis.parameters])
     low = np.array([p.low for p in hypothesis.parameters])
     high = np.array([p.high for p in hypothesis.parameters])
-    current, fine = hypothesis, not hypothesis.effects
-    [residual], [jacobian] = linearise(data, [current])
+    current, fine = hypothesis, last is not None or not hypothesis.effects
+    [residual], [jacobian] = linearise(data, [current], last=None if last is None else [last])
     best = _cost(data, current, residual)
     for _ in range(iterations):
         here = Fit(current, best, residual, jacobian)
-        step = solve_within(here.information, here.slope(data.believed), *current.room())
+        slope = here.slope(data.believed)
+        step = solve_within(here.information, slope, *current.room())
+        promised = float(-2.0 * slope @ step - step @ here.information @ step)
+        if promised < CONVERGED and fine:
+            break
         rows = np.clip(current.x + np.outer(STEPS, step * scale), low, high)
         trials = [replace(current, x=row) for row in rows]
         found = data.residuals(np.stack([t.flat(data.believed) for t in trials]))
@@ -485,7 +505,8 @@ def fit(data: Data, hypothesis: Hypothesis, iterations: int = 10) -> Fit:
         gained = best - costs[pick]
         if gained > 0:
             current, best, residual = trials[pick], costs[pick], found[pick]
-        if gained < CONVERGED and fine:
+        kept = gained < NEAR_THE_END and abs(gained - promised) < CONVERGED
+        if fine and (kept or gained < CONVERGED):
             break  # so near that the derivative is still that of the optimum
         first = 0 if gained >= CONVERGED else len(current.base)
         _, [own] = linearise(data, [current], first, [residual], [jacobian[:, first:]])

@@ -216,9 +216,8 @@ def search(
         if accepted is None:
             break
         gain = current.objective - accepted.objective
-        without = fit(
-            data, replace(current.hypothesis, x=accepted.hypothesis.x[: len(current.hypothesis.x)])
-        )
+        keys = accepted.hypothesis.x[: len(current.hypothesis.x)]
+        without = fit(data, replace(current.hypothesis, x=keys), last=current.jacobian)
         if without.objective < current.objective - CONVERGED * max(1.0, gain):
             current = without  # the gain was that of the keys, which had not settled
             continue
@@ -230,7 +229,9 @@ def search(
         for fresh in accepted.hypothesis.effects[len(current.hypothesis.effects) :]:
             neighbours[fresh.name] = nearest
             candidates = [c for c in candidates if c.name != fresh.name]
-        data, current = settle(machine, runs, accepted.hypothesis, data.noise)
+        data, current = settle(
+            machine, runs, accepted.hypothesis, data.noise, last=accepted.jacobian
+        )
         data, current = _patch_settled(data, _extend(machine, data, current))
         current = _drop_needless(data, current, tried)
         chosen = current.hypothesis.effects
@@ -243,7 +244,7 @@ def search(
         if len(current.hypothesis.effects) == MOST_EFFECTS:
             break
     progress("fitting the final model")
-    data, final = settle(machine, runs, current.hypothesis, data.noise)
+    data, final = settle(machine, runs, current.hypothesis, data.noise, last=current.jacobian)
     data, final = _patch_settled(data, _extend(machine, data, final))
     final = _drop_needless(data, final, tried)
     final = _whole_numbers(data, final)
@@ -281,10 +282,12 @@ def settle(
     start: Hypothesis,
     noise: Noise | None = None,
     tunings: int = MOST_TUNINGS,
+    last: Array | None = None,
 ) -> tuple[Data, Fit]:
     """Tune the noise at `start` and fit, until predictor and model agree or for so many times.
 
-    Noise that was tuned for keys which are off gives others that are off in another way.
+    Noise that was tuned for keys which are off gives others that are off in another way. `last`: as
+    `fit` has it.
     """
     hypothesis = start
     scale = np.array([p.scale for p in start.parameters])
@@ -292,7 +295,8 @@ def settle(
         values = hypothesis.flat(machine.believed)
         noise = tune_noise(machine, runs, values, noise, paths=1)
         data = Data(machine, runs, noise, hypothesis)
-        fitted = fit(data, hypothesis)
+        fitted = fit(data, hypothesis, last=last)
+        last = fitted.jacobian
         moved = (fitted.hypothesis.x - hypothesis.x) / scale
         hypothesis = fitted.hypothesis
         if moved @ fitted.information @ moved < SETTLED:
@@ -306,7 +310,7 @@ def _ladder(data: Data, base: Hypothesis, final: Fit) -> tuple[Fit, ...]:
     hypothesis = final.hypothesis
     for index, effect in enumerate(hypothesis.effects[:-1]):
         start = rungs[-1].hypothesis.with_effect(effect, hypothesis.values_of(index))
-        rungs.append(fit(data, start))
+        rungs.append(fit(data, start, last=final.jacobian[:, : len(start.x)]))
     return (*rungs, final) if hypothesis.effects else tuple(rungs)
 
 
@@ -487,7 +491,7 @@ def _refit(data: Data, current: Fit, screened: Sequence[Screened]) -> list[Fit]:
     best = current.objective - fits[order[0]].objective
     for k in order[:FULL_REFITS]:
         if current.objective - fits[k].objective > NEAR * best:
-            fits[k] = fit(data, fits[k].hypothesis)
+            fits[k] = fit(data, fits[k].hypothesis, last=fits[k].jacobian)
     return fits
 
 
@@ -780,7 +784,7 @@ def _both_pass(data: Data, without: Fit, both: Fit, tried: int) -> bool:
     count, sure = len(without.hypothesis.effects), True
     for index in (count, count + 1):
         effect, sizes = both.hypothesis.effects[index], both.hypothesis.values_of(index)
-        rest = fit(data, both.hypothesis.without(index))
+        rest = both.refitted_without(data, index)
         evidence = weigh(data, rest, both, index)
         least = max(data.feigned_gain, SHAPE_SHARE * _left_by_others(data, rest, both, index))
         if evidence.p_value * tried >= ALPHA or evidence.beyond_chance < least:
@@ -807,7 +811,7 @@ def _patch_settled(data: Data, fitted: Fit) -> tuple[Data, Fit]:
     moved = _patch_again(data, fitted)
     if fitted.objective - moved.objective < SETTLED:
         return data, moved
-    return settle(data.machine, data.runs, moved.hypothesis, data.noise)
+    return settle(data.machine, data.runs, moved.hypothesis, data.noise, last=moved.jacobian)
 
 
 def _simplest_first(
@@ -954,7 +958,7 @@ def _whole_numbers(data: Data, fitted: Fit) -> Fit:
                 whole = float(np.round(fitted.hypothesis.values_of(index)[number]))
                 held = fit(data, _turned_with(fitted, index, number, whole))
                 lost = held.objective - fitted.objective
-                without = fit(data, fitted.hypothesis.without(index))
+                without = fitted.refitted_without(data, index)
                 inflation = weigh(data, without, fitted, index).inflation
                 if _no_more_than_chance(lost, inflation, 1):
                     fitted = held
@@ -989,8 +993,7 @@ def _drop_needless(data: Data, fitted: Fit, tried: int) -> Fit:
     """
     while fitted.hypothesis.effects:
         without = [
-            fit(data, fitted.hypothesis.without(index))
-            for index in range(len(fitted.hypothesis.effects))
+            fitted.refitted_without(data, index) for index in range(len(fitted.hypothesis.effects))
         ]
         judged = [weigh(data, w, fitted, index) for index, w in enumerate(without)]
         needless = [
@@ -1018,7 +1021,7 @@ def _swap(
     while len(fitted.hypothesis.effects) > 1 and index < len(fitted.hypothesis.effects) - 1:
         effect = fitted.hypothesis.effects[index]
         progress(f"comparing {effect.name} with what could stand in its place")
-        without = fit(data, fitted.hypothesis.without(index))
+        without = fitted.refitted_without(data, index)
         rivals = _rivals_of(fitted, effect, neighbours)
         nearest = screen(data, without, rivals)[:RIVALS] if rivals else []
         tried = _refit(data, without, nearest)
@@ -1030,7 +1033,7 @@ def _swap(
                 effect,
                 *neighbours.get(effect.name, []),
             ]
-            fitted = fit(data, best.hypothesis)
+            fitted = fit(data, best.hypothesis, last=best.jacobian)
         else:
             index += 1
     return fitted
@@ -1120,7 +1123,7 @@ def _compare_rivals(
     selected = []
     for index, effect in enumerate(final.hypothesis.effects):
         progress(f"comparing {effect.name} with its rivals")
-        without = fit(data, final.hypothesis.without(index))
+        without = final.refitted_without(data, index)
         evidence = weigh(data, without, final, index)
         rivals = _rivals_of(final, effect, neighbours)
         nearest = screen(data, without, rivals)[:RIVALS] if rivals else []
