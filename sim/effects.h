@@ -636,7 +636,7 @@ struct ShaftCompliance : Effect {
         kRobot | kAxis,
         kPrepare,
         3,
-        {{"stiffness_nm_rad", "N m/rad", kUnbounded, 5.0, kUnbounded, 100.0},
+        {{"stiffness_nm_rad", "N m/rad", kUnbounded, 1.0, kUnbounded, 100.0},
          {"damping_nm_s_rad", "N m s/rad", 0.1, 0.0, kUnbounded, 0.0},
          {"load_share", "1", kLoadShare, 0.05, 0.95, 0.0}}};
     template <class S, int N>

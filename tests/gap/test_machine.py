@@ -116,6 +116,30 @@ def test_every_candidate_has_a_size_to_look_for_within_its_bounds():
             assert p.low < p.high
 
 
+@pytest.mark.parametrize("size", [0.05, 1.0, 4.0])
+def test_a_soft_shaft_of_any_robot_is_looked_for_at_the_same_frequencies(size):
+    """Springs and dampers go with the inertia of the drive, here that of its motor."""
+
+    def shaft(model):
+        candidates = Machine(model).candidates()
+        [found] = [one for one in candidates if one.effect == "shaft_compliance"]
+        return found
+
+    nominal = read_model(NOMINAL_ROBOT)
+    inertia = "motor.inertia_kg_m2"
+    other = shaft(
+        dataclasses.replace(
+            nominal, values=nominal.values | {inertia: size * nominal.values[inertia]}
+        )
+    )
+    known = shaft(nominal)
+    for ours, theirs in zip(other.parameters, known.parameters, strict=True):
+        numbers = np.array([[one.scale, one.low, one.high] for one in (ours, theirs)])
+        np.testing.assert_allclose(numbers[0], size * numbers[1])
+    for ours, theirs in zip(other.starts, known.starts, strict=True):
+        assert ours == pytest.approx({index: size * value for index, value in theirs.items()})
+
+
 def test_keys_move_by_two_tolerances_and_exact_ones_not_at_all():
     base = {p.label: p for p in ROBOT.base_parameters()}
     radius = base["robot.wheel_radius_m"]

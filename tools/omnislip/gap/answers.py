@@ -190,18 +190,20 @@ def _share_answered(logged: Sequence[tuple[Run, _core.Track]]) -> float:
 
     Where a command moves, but hardly. Innovations beside a wrong model tell how the robot moves,
     and where commands follow a programme that tells how they go on. So what they explain has to be
-    more than the motion foreseen explains as well: an answer is one to what was not.
+    more than the motion foreseen explains as well: an answer is one to what was not. And it has to
+    show away from jumps, too: behind them such innovations tell the programme.
     """
     stride = _stride(logged[0][0])
     past = SHORT_PAST * stride
-    commanded, told, now, motion = [], [], [], []
+    commanded, told, now, motion, behind = [], [], [], [], []
     for run, track in logged:
         commands, _ = _past(run, track, past, 1, 1)
         _, innovations = _past(run, track, SHORT_PAST, stride, 1)
         commanded.append(commands.reshape(past, -1).T)
         told.append(innovations.reshape(SHORT_PAST, -1).T)
-        now.append(run.command[past:].ravel())
-        motion.append(_motion(foreseen(run, track)[past:]))
+        now.append(run.logged_command[past:].ravel())
+        motion.append(_motion(foreseen(run, track)[run.log_rows][past:]))
+        behind.append(np.repeat(_behind_jumps(run, past)[past:], run.command.shape[1]))
     x, told, y, motion = (np.concatenate(each) for each in (commanded, told, now, motion))
     step = np.abs(y - x[:, 0])
     moves = step > ROUNDING * np.max(np.abs(y), initial=0.0)
@@ -209,14 +211,21 @@ def _share_answered(logged: Sequence[tuple[Run, _core.Track]]) -> float:
         return 0.0
     asked = moves if np.mean(moves) < MOVES else np.full(len(y), True)
     calm = asked & (step <= CALM * _spread(step[asked]))
-    commanded = x[calm]
     limit = CLIP * _spread(told[calm])
-    innovations = np.clip(told[calm], -limit, limit)
+    told = np.clip(told, -limit, limit)
     share = min(
-        _share_explained(known, innovations, y[calm])
-        for known in (commanded, np.hstack([commanded, motion[calm]]))
+        _share_explained(known[rows], told[rows], y[rows])
+        for rows in (calm, calm & ~np.concatenate(behind))
+        for known in (x, np.hstack([x, motion]))
     )
     return share if share > BEYOND_CHANCE * SHORT_PAST / np.count_nonzero(calm) else 0.0
+
+
+def _behind_jumps(run: Run, past: int) -> npt.NDArray[np.bool_]:
+    """Rows of the log (rows,) in whose past, or in which, commands jump within a row."""
+    jumped = np.isin(run.log_rows, run.jumped - 1)
+    near = np.convolve(jumped, np.ones(past + 1))
+    return near[: len(jumped)] > 0
 
 
 def _new(logged: Sequence[tuple[Run, _core.Track]]) -> list[Array]:
@@ -229,7 +238,7 @@ def _new(logged: Sequence[tuple[Run, _core.Track]]) -> list[Array]:
     x = np.concatenate([np.hstack([*commands, *innovations]) for commands, innovations in pasts])
     x /= np.maximum(x.std(axis=0), 1e-12)
     first = PAST * stride + lead - 1
-    y = np.concatenate([run.command[first:] for run, _ in logged])
+    y = np.concatenate([run.logged_command[first:] for run, _ in logged])
     usual = np.full(len(y), True)
     for _ in range(ROBUST_ROUNDS):
         left = y - x @ np.linalg.lstsq(x[usual], y[usual], rcond=None)[0]
@@ -238,8 +247,9 @@ def _new(logged: Sequence[tuple[Run, _core.Track]]) -> list[Array]:
     new = np.clip(left, -limit, limit)
     found = [np.zeros_like(run.command) for run, _ in logged]
     parts = np.split(new, np.cumsum([commands.shape[1] for commands, _ in pasts])[:-1])
-    for own, part in zip(found, parts, strict=True):
-        own[len(own) - len(part) :] = part
+    for (run, _), own, part in zip(logged, found, parts, strict=True):
+        own[run.log_rows[len(run.log_rows) - len(part) :]] = part
+        own[run.jumped] = own[run.jumped - 1]
     return found
 
 
@@ -252,14 +262,16 @@ def _past(run: Run, track: _core.Track, past: int, stride: int, lead: int) -> tu
     """Commands and innovations of all wheels (past, rows, 4), means of `stride` rows, latest first.
 
     Those of command k, from row past * stride + lead - 1 on, end with command k - lead and the
-    innovations just after it.
+    innovations just after it. Rows are those of the log.
     """
-    rows = max(len(run.t_s) - past * stride - lead + 1, 0)
-    innovation = np.nan_to_num(track.innovation.reshape(len(run.t_s), -1)[1:, :4])
+    command = run.logged_command
+    rows = max(len(command) - past * stride - lead + 1, 0)
+    innovation = track.innovation.reshape(len(run.t_s), -1)[run.log_rows]
+    innovation = np.nan_to_num(innovation[1:, :4])
     firsts = range((past - 1) * stride, -1, -stride)
     commands, innovations = (
         np.stack([signal[first : first + rows] for first in firsts])
-        for signal in (_means(run.command, stride), _means(innovation, stride))
+        for signal in (_means(command, stride), _means(innovation, stride))
     )
     return commands, innovations
 

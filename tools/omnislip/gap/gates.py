@@ -402,7 +402,7 @@ def _windows(
 ) -> tuple[Array, Array]:
     """Way of wheels and of a pose column over windows of 0.2 s, where the wheels move at all.
 
-    Nothing where they move too little to tell a scale: sliding wheels go a little to either side.
+    Nothing where they turn too little to tell a scale: sliding wheels go a little to either side.
     """
     own = [name] if name == "pose/theta_rad" else POSE_COLUMNS[:2]
     rows = _sampled(log, *(POSE_COLUMNS if rolling_only else own))
@@ -423,8 +423,8 @@ def _windows(
         moving &= _rolling(machine, log, rows, stride)
     way = _wheel_travel_m(machine, log)[rows]
     moving &= _pulling_together(machine, way[stride:] - way[:-stride])
-    least = LEAST_TURN_RAD if name == "pose/theta_rad" else LEAST_WAY_M
-    if not rolling_only and np.sum(np.abs(wheels[moving])) < least * stride:
+    least = 0.0 if rolling_only or name == "pose/x_m" else LEAST_TURN_RAD
+    if np.sum(np.abs(wheels[moving])) < least * stride:
         return np.empty(0), np.empty(0)
     return wheels[moving], shown[moving]
 

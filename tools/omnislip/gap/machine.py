@@ -62,6 +62,10 @@ AXIS_COMMAND = 3.0
 """A command (V, A) that a limit worth looking for would clip."""
 AXIS_RESONANCE_RAD_S = 2 * math.pi * 50.0
 """Where a two-mass drive worth looking for rings: screws and belts lie between 20 and 100 Hz."""
+NOMINAL_DRIVE_KG_M2 = 3.6e-3
+"""Inertia at the wheel of the drive that the catalogue's springs and dampers are for: those of
+others are as much larger as their inertia, and ring at the same frequency."""
+OF_THE_DRIVE = ("stiffness_nm_rad", "damping_nm_s_rad")
 PERIODIC_UNIT = "rad"
 NEEDS = {"pendulum_zero_error": "axis.pendulum_mass_kg"}
 """Effects of what a machine may not have, and the key that says it has it."""
@@ -345,6 +349,9 @@ class Machine:
                 for p, entry in zip(parameters, own, strict=True)
             ]
             starts = tuple({i: x * ratio[i] for i, x in start.items()} for start in starts)
+        else:
+            size = [self._size(entry["name"]) for entry in own]
+            starts = tuple({i: x * size[i] for i, x in start.items()} for start in starts)
         return Candidate(entry["name"], wheel, tuple(parameters), tuple(sizes), starts)
 
     def _effect_parameter(self, effect: str, entry: dict, wheel: int | None) -> Parameter:
@@ -353,6 +360,8 @@ class Machine:
         low, high = entry["low"], entry["high"]
         if self.kind == "axis" and entry["name"] == "limit_a":
             low = 0.01 * scale  # the catalogue's bound is in ampere
+        if self.kind == "robot":
+            low *= self._size(entry["name"])
         if not math.isfinite(entry["neutral"]) and entry["typical"] != 0:
             high = min(high, MOST_OF_ABSENT * scale)
         if entry["name"] == "damping_nm_s_rad":  # beyond, the spring is bridged
@@ -372,7 +381,16 @@ class Machine:
             own = self._axis_size(effect, entry["name"])
             if own is not None:
                 return own
-        return abs(entry["typical"]) if entry["typical"] != 0 else _shape_scale(entry)
+        scale = abs(entry["typical"]) if entry["typical"] != 0 else _shape_scale(entry)
+        return scale * self._size(entry["name"])
+
+    def _size(self, parameter: str) -> float:
+        """How much larger a parameter is in a robot that differs from the nominal one by it."""
+        if self.kind != "robot" or parameter not in OF_THE_DRIVE:
+            return 1.0
+        values = self.model.values
+        at_wheel = float(values["motor.inertia_kg_m2"]) * float(values["motor.gear_ratio"]) ** 2
+        return at_wheel / NOMINAL_DRIVE_KG_M2
 
     def _axis_size(self, effect: str, parameter: str) -> float | None:
         """Size from the force of an axis at unit command, its inertia and friction."""

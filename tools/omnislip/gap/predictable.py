@@ -157,7 +157,7 @@ def _sparse_rows(run: Run) -> npt.NDArray[np.int64]:
     """Rows some `ROW_S` apart, after the filter has settled."""
     stride = max(1, round(ROW_S / run.row_s))
     first = int(np.searchsorted(run.t_s, run.t_s[0] + _core.SETTLE_S))
-    return np.arange(first, len(run.t_s), stride)
+    return run.log_rows[run.log_rows >= first][::stride]
 
 
 def _features(run: Run, state: Array, gear: float) -> Array:

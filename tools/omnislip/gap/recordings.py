@@ -85,6 +85,19 @@ class Run:
         """Time from row to row, the median."""
         return float(np.median(np.diff(self.t_s)))
 
+    @property
+    def log_rows(self) -> npt.NDArray[np.intp]:
+        """Rows that the log has, too."""
+        return np.delete(np.arange(len(self.t_s)), self.jumped)
+
+    @property
+    def logged_command(self) -> Array:
+        """Commands (rows of the log, motors) as logged, means over those rows."""
+        length_s = np.diff(self.t_s, append=self.t_s[-1] + self.row_s)[:, None]
+        rows = self.log_rows
+        sums = np.add.reduceat(length_s * self.command, rows, axis=0)
+        return sums / np.add.reduceat(length_s, rows, axis=0)
+
     def commanded(self, command: Array) -> "Run":
         """Return the run as if this had been its command (rows, motors)."""
         return replace(self, command=command, recording=self.recording.commanded(command))
