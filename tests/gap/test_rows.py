@@ -18,7 +18,7 @@ from omnislip.gap.search import believed_hypothesis
 from omnislip.gap.truth import TruthCase
 from omnislip.model_file import NOMINAL_ROBOT, read_model
 from scipy.stats import chi2
-from truth_bench import promises, runs_of
+from truth_bench import LAGS, promises, runs_of
 
 MODEL = read_model(NOMINAL_ROBOT)
 SETTLING = ("shaft_compliance", "bristle_relaxation")
@@ -149,6 +149,18 @@ def test_what_rows_hide_feigns_no_lag(seed, monkeypatch):
     monkeypatch.setattr(recordings, "_parted_at_jumps", not_parted)
     monkeypatch.setattr(inference, "hidden_columns", no_columns)
     assert max(promises(data_of(**case)).values()) > 2 * CHANCE
+
+
+@pytest.mark.parametrize(("seed", "noise_level"), [(11, 0.03), (16, 0.1)])
+def test_what_commands_that_rise_within_rows_feign_is_in_the_columns(
+    seed, noise_level, monkeypatch
+):
+    """Beside rows parted at jumps, in logs so clean that it shows."""
+    data = data_of(seed=seed, excitation="ordinary", noise_level=noise_level)
+    assert max(promises(data, LAGS + SETTLING).values()) < CHANCE
+    monkeypatch.setattr(inference, "hidden_columns", no_columns)
+    bare = Data(data.machine, data.runs, data.noise, believed_hypothesis(data.machine))
+    assert max(promises(bare, LAGS + SETTLING).values()) > 2 * CHANCE
 
 
 @pytest.mark.parametrize("seed", [11, 16])
