@@ -24,6 +24,7 @@ from omnislip.gap.find import (
 from omnislip.gap.inference import Evidence
 from omnislip.gap.machine import Machine
 from omnislip.gap.metrics import Closed, Left
+from omnislip.gap.plan import Manoeuvre, Separation
 from omnislip.gap.search import Selected
 from omnislip.gap.truth import TruthCase, write_case
 from omnislip.gap.truth_effects import typical_effect
@@ -173,6 +174,20 @@ def test_a_name_that_a_shape_a_little_wrong_would_leave_carries_a_caution():
     assert caution.startswith("gyro_bias is weak: the other effects would leave as much if they")
     assert "7 % off" in caution
     assert weak_names([]) == []
+
+
+def test_rivals_come_with_what_to_drive_or_the_word_that_nothing_would_help():
+    sure, ambiguous = selected("body_drag", 1e5), selected("payload", 1e5)
+    ambiguous = replace(ambiguous, rivals=("low_grip",))
+    best = Separation(Manoeuvre("twist", "", 3.8, []), 25.0, 0.0)
+    assert find._advice([sure], {}) == ""
+    assert find._advice([sure, ambiguous], {"payload": best}) == (
+        " Driving 'twist' (4 s, omnislip gap plan) would tell payload from low_grip: expected "
+        "separation 25, right with probability 0.994."
+    )
+    assert find._advice([ambiguous], {}) == (
+        " No manoeuvre of the library would tell payload from low_grip."
+    )
 
 
 def axis_case(folder, bench=AXIS_BENCH, seeds=range(6), **believed):

@@ -9,7 +9,7 @@ from axis_bench import model_text
 from omnislip.errors import InputError
 from omnislip.gap import plan as planning
 from omnislip.gap.find import find_gap, to_json
-from omnislip.gap.inference import Hypothesis
+from omnislip.gap.inference import Hypothesis, fit
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import first_guess
 from omnislip.gap.plan import Limits, Question, Rehearsal
@@ -150,11 +150,12 @@ def test_what_the_planned_manoeuvre_separates_gap_find_names(ranked, tmp_path):
 
 
 def known_of(name, sizes):
-    """A log of a robot that has this effect, and the true hypothesis."""
+    """A log of a robot that has this effect, and the true structure fitted to it."""
     truth, own = truth_of(name, sizes)
     run = noisy(replace(MODEL, effects=[MACHINE.effect_of(own, sizes)]), "headings")
     noise = first_guess(MACHINE, [run])
-    return planning.Data(MACHINE, [run], noise, truth), truth
+    data = planning.Data(MACHINE, [run], noise, truth)
+    return data, fit(data, truth).hypothesis
 
 
 def test_what_the_logs_know_already_counts():
@@ -169,6 +170,11 @@ def test_what_the_logs_know_already_counts():
     }
     alone = lead("body_drag", [4.0], "quadratic_body_drag", best.manoeuvre.name)
     assert best.separation > alone > 0
+
+
+def test_a_manoeuvre_that_would_tell_no_more_than_a_coin_is_none():
+    data, truth = known_of("body_drag", [0.2])
+    assert planning.separating_manoeuvre(MACHINE, data, truth, 0, ["quadratic_body_drag"]) is None
 
 
 def test_a_patch_among_the_rivals_ends_no_search():

@@ -279,7 +279,7 @@ def find_gap(
         verdict,
         _sentence(verdict, machine, outcome, table, mended, unknown, shares, shapes)
         + _undecided(other_wirings)
-        + _advice(manoeuvres)
+        + _advice(outcome.selected, manoeuvres)
         + "".join(f" {caution}" for caution in cautions),
         machine,
         split,
@@ -683,14 +683,21 @@ def _sentence(
     return text
 
 
-def _advice(manoeuvres: dict[str, Separation]) -> str:
-    """Return what to drive next, or nothing."""
-    return "".join(
-        f" Driving '{best.manoeuvre.name}' ({best.manoeuvre.duration_s:.0f} s, omnislip gap plan)"
-        f" would tell {name} from them: expected separation {best.separation:.0f},"
-        f" right with probability {best.probability:.3g}."
-        for name, best in manoeuvres.items()
-    )
+def _advice(selected: Sequence[Selected], manoeuvres: dict[str, Separation]) -> str:
+    """Return what to drive next for each name that is ambiguous, or that nothing would tell."""
+    text = ""
+    for one in selected:
+        name, rivals = one.candidate.name, ", ".join(one.rivals)
+        if name in manoeuvres:
+            best = manoeuvres[name]
+            text += (
+                f" Driving '{best.manoeuvre.name}' ({best.manoeuvre.duration_s:.0f} s, omnislip "
+                f"gap plan) would tell {name} from {rivals}: expected separation "
+                f"{best.separation:.0f}, right with probability {best.probability:.3g}."
+            )
+        elif rivals:
+            text += f" No manoeuvre of the library would tell {name} from {rivals}."
+    return text
 
 
 def _wiring_words(effect: Effect) -> str:

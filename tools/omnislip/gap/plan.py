@@ -56,6 +56,8 @@ NOT_DRIVEN = (*WIRING, "impact")
 """What no manoeuvre is for: mistakes of wiring, and pushes."""
 CERTAIN = 100.0
 """Separation from which on more is not better: the wrong one is ahead once in four million."""
+LEAST_SEPARATION = 4.0
+"""Separation below which a manoeuvre is no answer: the wrong one is ahead once in six times."""
 REST_S = 0.4
 MOST_TURN_RAD_S = 6.0
 FIT_ITERATIONS = 5
@@ -328,8 +330,8 @@ def separating_manoeuvre(
 ) -> Separation | None:
     """Return the manoeuvre that tells effect `index` of the final model from its rivals.
 
-    Uses what the logs of `data` say of the rivals. None if there is nothing to drive or no gain, if
-    a rival is a patch in the floor that may be anywhere, or if the firmware cannot drive this
+    Uses what the logs of `data` say of the rivals. None if there is nothing to drive, if the best
+    manoeuvre separates them by less than LEAST_SEPARATION, if a rival is a patch in the floor that may be anywhere, or if the firmware cannot drive this
     robot: its numbers do not fit the firmware's formats.
     """
     if machine.kind != "robot" or PATCH in rivals:
@@ -352,7 +354,8 @@ def separating_manoeuvre(
         new = Expected(machine, rehearsal.run(truth, manoeuvre), data.noise, final)
         leads = [_lead_with_logs(new, rival) for rival in fitted]
         found.append(Separation(manoeuvre, min(leads), reach))
-    return _ranked(found)[0] if found else None
+    best = next(iter(_ranked(found)), None)
+    return best if best and best.separation >= LEAST_SEPARATION else None
 
 
 def plan(
