@@ -270,6 +270,15 @@ def test_where_points_to_the_wheel(weak_motor):
     assert to_json(weak_motor[0])["where"][0]["channel"] == "wheel/3/torque"
 
 
+def test_the_balance_of_the_wheel_fails_without_the_effect_and_holds_with_it(weak_motor):
+    balances = {one.name: one.rms for one in weak_motor[0].balances}
+    fall = {name: rms[1] / rms[2] for name, rms in balances.items()}
+    wheels = {name: fall[name] for name in fall if name.startswith("wheel ")}
+    assert max(wheels, key=wheels.__getitem__) == "wheel 3: torque"
+    assert wheels["wheel 3: torque"] > 2.0
+    assert fall["gyro less camera: turning"] < 1.5
+
+
 def test_a_second_run_on_the_amended_robot_finds_no_gap(weak_motor):
     _, logs, folder = weak_motor
     again = found(folder / "robot.toml", logs)
@@ -369,6 +378,16 @@ SHAPE = {
     "verdict": str,
     "where": [{"channel": str, "condition": str, "share_of_gap": NUMBER, "windows_s": [list]}],
     "effects": [EFFECT],
+    "balances": [
+        {
+            "name": str,
+            "unit": str,
+            "believed": NUMBER,
+            "refit": NUMBER,
+            "after": NUMBER,
+            "sensor_noise": NUMBER,
+        }
+    ],
     "gap": {
         "held_out_runs": [str],
         "channels": {

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from omnislip.gap.balances import Balance
 from omnislip.gap.events import Impact
 from omnislip.gap.find import Findings, Split, Step, one_digit, to_json, with_deviation
 from omnislip.gap.inference import Evidence, Fit, Hypothesis
@@ -60,6 +61,7 @@ def replays_of(run, sizes=(3.0, 2.0, 1.1)):
     return Replays(run, errors, np.ones(run.outputs.shape), run.t_s >= 0.25)
 
 
+BALANCE = Balance("wheel 3: torque", "N m", np.array([0.0456, 0.0345, 0.00123]), 1.4e-6)
 TWIST = Separation(Manoeuvre("twist", "wheels against each other", 3.8, []), 432.1, 0.0)
 
 
@@ -136,6 +138,7 @@ def findings_of(machine, verdict, effects=(), rivals=()):
         manoeuvres={e.name: TWIST for e in effects} if rivals else {},
         inputs={"robot.toml": "ab" * 32, "run_01.csv": "cd" * 32},
         shapes=[shape] if verdict != "no_gap" else [],
+        balances=[BALANCE] if robot else [],
     )
 
 
@@ -342,6 +345,21 @@ def test_rivals_make_the_name_uncertain(machines):
     assert "expected separation 432" in text
     assert "its name is not certain" in text
     assert "weak_motor (wheel 3) : " + machine.catalogue["weak_motor"]["summary"] in text
+
+
+def test_rivals_that_no_manoeuvre_would_tell_apart_are_said_to_be_so(machines):
+    machine = machines["robot"]
+    effects, rivals = machine.candidates()[:1], ("weak_motor (wheel 3)",)
+    findings = findings_of(machine, "effect_found", effects, rivals)
+    text = Page(render(replace(findings, manoeuvres={}), COMMAND_LINE)).text
+    assert "No manoeuvre of the library would separate them." in text
+
+
+def test_balances_stand_with_each_model_and_the_noise_of_the_sensors(found, no_gap_html):
+    rows = Page(render(found, COMMAND_LINE)).rows
+    own = ["wheel 3: torque / N m", "N m", "0.0456", "0.0345", "0.00123", "1.40 × 10⁻⁶"]
+    assert own in rows
+    assert "Which balance fails" not in no_gap_html
 
 
 @pytest.mark.parametrize("gave_way", [False, True])

@@ -16,6 +16,7 @@ from scipy.stats import binom, norm
 from omnislip import _core
 from omnislip.errors import InputError
 from omnislip.files import write_text
+from omnislip.gap.balances import Balance, find_balances
 from omnislip.gap.events import Impact, as_effect, find_impacts, known_pushes, pieces, too_often
 from omnislip.gap.gates import check, logged_set_points, rows_far_apart, too_poor
 from omnislip.gap.inference import Data, at_bound, fit, prior_penalty
@@ -67,6 +68,7 @@ from omnislip.user_effects import read_definitions
 Array = npt.NDArray[np.float64]
 
 SCHEMA = "omnislip-gap/1"
+MODELS = ("believed", "refit", "after")
 RUNS_TO_HOLD_OUT_WHOLE = 5
 SERIES_TO_HOLD_OUT_WHOLE = 3
 LEAST_UNITS, LEAST_PART_S = 5, 2.0
@@ -169,6 +171,8 @@ class Findings:
     """Wirings that these logs cannot tell from the one found."""
     recording: list[str] = field(default_factory=list)
     """What of the logs was mended, cut or not used, in sentences."""
+    balances: list[Balance] = field(default_factory=list)
+    """What each balance of a robot leaves on the held-out runs, beside the models of the table."""
 
 
 def find_gap(
@@ -300,6 +304,7 @@ def find_gap(
         shapes,
         other_wirings,
         told,
+        find_balances(machine, replays, outcome.data.noise, models),
     )
 
 
@@ -813,6 +818,15 @@ def to_json(findings: Findings) -> dict[str, Any]:
         "recording": findings.recording,
         "predictable": [asdict(one) for one in findings.predictable],
         "unknown_curve": _curve_json(findings.unknown) if findings.unknown else None,
+        "balances": [
+            {
+                "name": b.name,
+                "unit": b.unit,
+                **{n: float(rms) for n, rms in zip(MODELS, b.rms, strict=True)},
+                "sensor_noise": b.noise,
+            }
+            for b in findings.balances
+        ],
         "gap": _table_json(table) if table else None,
         "steps": [
             {"model": s.name, "held_out": s.rmse, "relative_force_error": s.force_error}
@@ -955,10 +969,9 @@ def _names_of(rivals: Sequence[dict[str, Any]]) -> list[str]:
 
 
 def _table_json(table: GapTable) -> dict[str, Any]:
-    names = ("believed", "refit", "after")
     channels = {
         channel: {
-            **{n: float(table.rmse[m, c]) for m, n in enumerate(names)},
+            **{n: float(table.rmse[m, c]) for m, n in enumerate(MODELS)},
             "noise_floor": float(table.floor[c]),
         }
         for c, channel in enumerate(table.channels)

@@ -331,8 +331,9 @@ def separating_manoeuvre(
     """Return the manoeuvre that tells effect `index` of the final model from its rivals.
 
     Uses what the logs of `data` say of the rivals. None if there is nothing to drive, if the best
-    manoeuvre separates them by less than LEAST_SEPARATION, if a rival is a patch in the floor that may be anywhere, or if the firmware cannot drive this
-    robot: its numbers do not fit the firmware's formats.
+    manoeuvre separates them by less than LEAST_SEPARATION, if a rival is a patch in the floor that
+    may be anywhere, or if the firmware cannot drive this robot: its numbers do not fit the
+    firmware's formats.
     """
     if machine.kind != "robot" or PATCH in rivals:
         return None
