@@ -202,5 +202,5 @@ def test_a_jump_of_the_command_within_a_row_is_no_push(monkeypatch):
         return find_impacts(ROBOT, runs, model.flat(ROBOT.believed), noise)
 
     assert found() == []
-    monkeypatch.setattr(recordings, "_parted_at_jumps", lambda *rows: (*rows, np.zeros(0, np.intp)))
+    monkeypatch.setattr(recordings, "parted_at_jumps", lambda *rows: (*rows, np.zeros(0, np.intp)))
     assert found() != []

@@ -185,9 +185,10 @@ def test_rivals_come_with_what_to_drive_or_the_word_that_nothing_would_help():
         " Driving 'twist' (4 s, omnislip gap plan) would tell payload from low_grip: expected "
         "separation 25, right with probability 0.994."
     )
-    assert find._advice([ambiguous], {}) == (
+    assert find._advice([ambiguous], {"payload": replace(best, separation=1.0)}) == (
         " No manoeuvre of the library would tell payload from low_grip."
     )
+    assert find._advice([ambiguous], {}) == ""  # nothing was driven
 
 
 def axis_case(folder, bench=AXIS_BENCH, seeds=range(6), **believed):

@@ -347,12 +347,16 @@ def test_rivals_make_the_name_uncertain(machines):
     assert "weak_motor (wheel 3) : " + machine.catalogue["weak_motor"]["summary"] in text
 
 
-def test_rivals_that_no_manoeuvre_would_tell_apart_are_said_to_be_so(machines):
-    machine = machines["robot"]
-    effects, rivals = machine.candidates()[:1], ("weak_motor (wheel 3)",)
-    findings = findings_of(machine, "effect_found", effects, rivals)
-    text = Page(render(replace(findings, manoeuvres={}), COMMAND_LINE)).text
-    assert "No manoeuvre of the library would separate them." in text
+@pytest.mark.parametrize("driven", [True, False])
+def test_that_no_manoeuvre_would_tell_rivals_apart_is_said_of_those_that_were_driven(
+    machines, driven
+):
+    effects = machines["robot"].candidates()[:1]
+    findings = findings_of(machines["robot"], "effect_found", effects, ("weak_motor (wheel 3)",))
+    manoeuvres = {effects[0].name: replace(TWIST, separation=1.0)} if driven else {}
+    text = Page(render(replace(findings, manoeuvres=manoeuvres), COMMAND_LINE)).text
+    assert ("No manoeuvre of the library would separate them." in text) == driven
+    assert 'drive "twist"' not in text
 
 
 def test_balances_stand_with_each_model_and_the_noise_of_the_sensors(found, no_gap_html):

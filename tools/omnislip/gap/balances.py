@@ -6,8 +6,9 @@ over a window of half width T, phi = c (1 - (t / T)^2)^4 with integral 1, any si
     integral phi y'' = integral phi'' y,      integral phi y' = -integral phi' y
 
 so that the derivatives go to phi, which is known exactly, and counts, gyro and camera enter as they
-were logged. Between samples y is a straight line, which makes the integrals finite sums; steady
-motion leaves nothing whatever the jitter of the rows. The noise of the sensors goes through the
+were logged. Between samples y is a straight line, which makes the integrals finite sums (that of
+phi y itself by the mean of both ends); steady motion leaves nothing whatever the jitter of the
+rows. The noise of the sensors goes through the
 same sums. The model's accelerations are averaged by the same phi along the filtered states.
 
     wheel i              r_i = J_i (theta_i'' - model): torque at the shaft
@@ -20,15 +21,16 @@ same sums. The model's accelerations are averaged by the same phi along the filt
     gyro, wheels         turning by the gyro less that by the wheels
     camera, wheels       velocity by the camera less that by the wheels: slip, radius, mounting
 
-N / R is the gear over the wheel's radius, H = J' of eq. (3). The last four are of what replays
-leave (measured less simulated), so that a model that has the slip or the sensor's fault leaves
-nothing.
+N / R is the gear over the wheel's radius, H = J' of eq. (3). Speeds, and what compares two sensors,
+are of what replays leave (measured less simulated), so that a model that has the slip or the
+sensor's fault leaves nothing.
 
 What is wrong in a driver, a motor or a bearing fails its wheel and the body for any contact; in the
 contact law its wheel and the body, but not the body for any contact; on the body both of the
-body's; in a sensor only the last ones. A model that is wrong also pulls the filtered states astray,
-which blurs this. Delays and drifts of a model are not known to `derivatives`, which has no memory
-and is at time 0.
+body's. A sensor that is wrong fails its comparison with the others, and then the balances that it
+enters say nothing of forces. A model that is wrong also pulls the filtered states astray, which
+blurs this. Delays and drifts of a model are not known to `derivatives`, which has no memory and is
+at time 0.
 """
 
 from collections.abc import Iterator, Sequence
@@ -47,7 +49,7 @@ Array = npt.NDArray[np.float64]
 
 HALF_S = 0.15
 """Half width of a window: seven samples of a camera of 50 Hz on each side of its middle."""
-CENTRES_S = np.arange(HALF_S, WINDOW_S - HALF_S / 2, HALF_S)
+CENTRES_S = np.arange(HALF_S, WINDOW_S - HALF_S, HALF_S)
 """Middles of the windows after each restart of the replays: none holds another restart."""
 LEAST_SAMPLES = 6
 """Of a sensor within a window: fewer do not resolve the bump."""
@@ -110,14 +112,15 @@ def find_balances(
     rows = []
     for key, runs in found.items():
         values, deviation = (np.concatenate(part, axis=-1) for part in zip(*runs, strict=True))
-        if np.isfinite(values).any():
-            rows.append(Balance(*key, _rms(values), float(_rms(deviation))))
+        seen = np.isfinite(values[-1])
+        if seen.any():
+            rows.append(Balance(*key, _rms(values[:, seen]), float(_rms(deviation[seen]))))
     return rows
 
 
 def _rms(values: Array) -> Array:
-    """Root mean square along the windows (..., windows), where they could be seen."""
-    return np.sqrt(np.nanmean(values**2, axis=-1))
+    """Root mean square along the windows (..., windows)."""
+    return np.sqrt(np.mean(values**2, axis=-1))
 
 
 class _Windows:

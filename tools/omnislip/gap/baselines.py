@@ -108,7 +108,7 @@ def ask_baselines(
 
 
 def _free_refit(data: Data) -> Answer:
-    free = Machine(replace(data.machine.model, tolerance={"default": FREE}), data.machine.electric)
+    free = data.machine.of(replace(data.machine.model, tolerance={"default": FREE}))
     fitted = fit(data, believed_hypothesis(free))
     return Answer((), fitted.hypothesis.flat(data.believed))
 

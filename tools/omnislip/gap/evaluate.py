@@ -13,6 +13,8 @@ model and the held-out logs, as far as whole logs were held out:
                  the same floor for all models; `gap find` looks for them in all of its logs.
 
 A push that a model does not name is an error of that model. `gap find` cuts it out for all models.
+Whether commands are held within rows is asked by the model that is evaluated: of models that are
+compared, `recording` should say the same.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,8 +23,9 @@ from pathlib import Path
 from typing import Any
 
 from omnislip.errors import InputError
+from omnislip.gap.answers import holds_commands
 from omnislip.gap.events import LEAST_PIECE_S, known_pushes
-from omnislip.gap.find import LEAST_ROWS, too_still, usable_runs
+from omnislip.gap.find import HELD_COMMANDS, LEAST_ROWS, too_still, usable_runs
 from omnislip.gap.gates import check, rows_far_apart
 from omnislip.gap.metrics import gap_table, replay_all
 from omnislip.gap.noise import tune_noise
@@ -68,6 +71,11 @@ def evaluate_model(
         raise InputError(f"the logs cannot be used: {still}")
     progress("tuning the noise")
     noise = tune_noise(machine, runs, machine.believed)
+    if holds_commands(machine, runs, machine.believed, noise):
+        machine = machine.of(model, holds_commands=True)
+        runs = [run.held_in_rows() for run in runs]
+        told.append(HELD_COMMANDS)
+        noise = tune_noise(machine, runs, machine.believed)
     progress("replaying")
     table = gap_table(replay_all(machine, runs, noise, [machine.believed] * 3))
     return {

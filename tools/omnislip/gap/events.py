@@ -272,7 +272,8 @@ class _JumpFit:
 class _Window:
     """The rows around a push as whitened replay errors that depend on its time and jump.
 
-    The plant runs free from the filtered state before the earliest time of a push.
+    The plant runs free from the filtered state before the earliest time of a push. Commands are
+    held within rows: over so few rows what they do there is little beside the noise of a replay.
     """
 
     def __init__(

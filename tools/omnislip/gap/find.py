@@ -16,6 +16,7 @@ from scipy.stats import binom, norm
 from omnislip import _core
 from omnislip.errors import InputError
 from omnislip.files import write_text
+from omnislip.gap.answers import holds_commands
 from omnislip.gap.balances import Balance, find_balances
 from omnislip.gap.events import Impact, as_effect, find_impacts, known_pushes, pieces, too_often
 from omnislip.gap.gates import check, logged_set_points, rows_far_apart, too_poor
@@ -80,6 +81,7 @@ FEW_RUNS = (
     f"With fewer than {RUNS_TO_HOLD_OUT_WHOLE} logs the choice was checked on parts of runs whose "
     "other parts were fitted: a name may change with more."
 )
+HELD_COMMANDS = "duties: taken as held from row to row, as a controller at the rate of the log does"
 STABLE = 0.9
 """Share of resamples of the runs in which a name has to hold."""
 WEAK_SHARE = 1e-2
@@ -156,7 +158,8 @@ class Findings:
     steps: list[Step]
     replays: list[Replays]
     manoeuvres: dict[str, Separation]
-    """What would tell an effect (by the name of its candidate) from those it is ambiguous with."""
+    """The best to tell an effect (by the name of its candidate) from those it is ambiguous with, of
+    those that can be driven."""
     inputs: dict[str, str]
     """File name -> SHA-256 of the model and the logs."""
     unknown: Unknown | None = None
@@ -206,11 +209,15 @@ def find_gap(
         return _insufficient(machine, checked.complaint, inputs, told, wirings)
     progress("looking for impacts")
     cuts += known_pushes(model, logs)
-    runs = [run for log in logs for run in usable_runs(machine, log, cuts)]
     known = split_runs(machine, logs, cuts)
     if not known.enough:
         return _insufficient(machine, _too_cut(known), inputs, told, wirings)
     noise, first = first_model(machine, known.fitting)
+    if holds_commands(machine, known.fitting, first.flat(machine.believed), noise):
+        machine = machine.of(model, holds_commands=True)
+        told.append(HELD_COMMANDS)
+        noise, first = first_model(machine, [run.held_in_rows() for run in known.fitting])
+    runs = [run for log in logs for run in usable_runs(machine, log, cuts)]
     impacts = find_impacts(machine, runs, first.flat(machine.believed), noise)
     for left in reversed(range(3)):  # again where a push shows only beside the final model
         pushes = cuts + [(impact.run, impact.time_s) for impact in impacts]
@@ -693,14 +700,14 @@ def _advice(selected: Sequence[Selected], manoeuvres: dict[str, Separation]) -> 
     text = ""
     for one in selected:
         name, rivals = one.candidate.name, ", ".join(one.rivals)
-        if name in manoeuvres:
-            best = manoeuvres[name]
+        best = manoeuvres.get(name)
+        if best and best.tells:
             text += (
                 f" Driving '{best.manoeuvre.name}' ({best.manoeuvre.duration_s:.0f} s, omnislip "
                 f"gap plan) would tell {name} from {rivals}: expected separation "
                 f"{best.separation:.0f}, right with probability {best.probability:.3g}."
             )
-        elif rivals:
+        elif best:
             text += f" No manoeuvre of the library would tell {name} from {rivals}."
     return text
 
@@ -953,7 +960,7 @@ def _effect_json(findings: Findings, selected: Selected) -> dict[str, Any]:
         "refinement": {n: size for n, size in sizes if n in refines},
         "ambiguous_with": _names_of(rivals),
         "rivals": rivals,
-        "separating_manoeuvre": manoeuvre.as_json() if manoeuvre else None,
+        "separating_manoeuvre": manoeuvre.as_json() if manoeuvre and manoeuvre.tells else None,
         "evidence": {
             "gain": evidence.gain,
             "inflation": evidence.inflation,

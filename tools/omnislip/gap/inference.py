@@ -215,7 +215,7 @@ class Data:
     """
 
     _tells_rises = True
-    """Whether logs of a closed loop tell how far commands rise within rows."""
+    """Whether logs of a closed loop tell how far commands taken as held rise within rows."""
 
     def __init__(
         self,
@@ -254,7 +254,7 @@ class Data:
         self.answers = news.answers
         """Whether commands answer disturbances."""
         self._rises = self._kept_only(columns)
-        told = 1 if news.answers and self._tells_rises else 0
+        told = 1 if news.answers and self._tells_rises and machine.holds_commands else 0
         self._hidden = Projection(self._rises[:, told:])
         [residual] = self.residuals(values[None])
         square = float(np.sum(residual**2)) / max(np.count_nonzero(residual), 1)
@@ -267,7 +267,10 @@ class Data:
         if not self.answers:
             return None
         values = self._model.flat(self.believed)
-        rises = self._kept_only(hidden_columns(self.machine, self.runs, self.tracks, values))
+        rise, newsless_rise = np.zeros((2, len(self._rises)))
+        if self.machine.holds_commands:
+            logged = hidden_columns(self.machine, self.runs, self.tracks, values)
+            rise, newsless_rise = self._kept_only(logged)[:, 0], self._rises[:, 0]
         [found] = self._innovations(self.recordings, values[None])
         [newsless], [derivatives] = _secants(
             self._innovations_newsless,
@@ -277,7 +280,7 @@ class Data:
             [_longest(self._model, 0)],
             None,
         )
-        return Foreseen(found, newsless, derivatives, rises[:, 0], self._rises[:, 0])
+        return Foreseen(found, newsless, derivatives, rise, newsless_rise)
 
     def residuals(self, sets: Array) -> Array:
         """Return whitened residuals (sets, m) of flat parameter sets (sets, parameters)."""

@@ -137,20 +137,27 @@ def axis_is_linear(model: Model) -> bool:
 class Machine:
     """The believed machine: flat values, the engine that replays it, and what may be fitted.
 
-    An `electric` robot's outputs hold bus voltage and motor currents too.
+    An `electric` robot's outputs hold bus voltage and motor currents too. One that
+    `holds_commands` within the rows of its logs has a controller as slow as they are.
     """
 
-    def __init__(self, model: Model, electric: bool = False) -> None:
+    def __init__(self, model: Model, electric: bool = False, holds_commands: bool = False) -> None:
         self.model = model
         self.kind = model.kind
         self.linear = model.kind == "axis" and axis_is_linear(model)
         self.engine = _core.Engine(model.kind, user_effects=model.own_effects, electric=electric)
         self.electric = electric
+        self.holds_commands = holds_commands
         self.wheels = len(model.values.get(f"{model.kind}.wheel_angles_deg", [0.0]))
         """Wheels of the machine; an axis counts as one."""
         self.catalogue = {e["name"]: e for e in model.catalogue if model.kind in e["kinds"]}
         self._places = self._layout()
         self.believed = self._flat_values()
+
+    def of(self, model: Model, holds_commands: bool | None = None) -> "Machine":
+        """Return the machine of another model; sensors and, if not said, controller stay."""
+        held = self.holds_commands if holds_commands is None else holds_commands
+        return Machine(model, self.electric, held)
 
     def place(self, effect: str, parameter: str, wheel: int | None) -> tuple[int, ...]:
         """Return where a parameter of an effect stands; all wheels' places for wheel None."""

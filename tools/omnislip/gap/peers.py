@@ -46,7 +46,7 @@ class Peer:
 def plain_refit(findings: Findings) -> tuple[Peer, Array]:
     """Fit the believed keys, each free by 90 %; returns also the parameter set."""
     split, given = findings.split, findings.machine
-    machine = Machine(replace(given.model, tolerance={"default": FREE}))
+    machine = given.of(replace(given.model, tolerance={"default": FREE}))
     noise = findings.outcome.data.noise
     _, fitted = settle(machine, split.fitting, believed_hypothesis(machine), noise)
     values = fitted.hypothesis.flat(machine.believed)

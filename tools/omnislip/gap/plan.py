@@ -112,6 +112,11 @@ class Separation:
     """Farthest from the start along x or y."""
 
     @property
+    def tells(self) -> bool:
+        """Whether it is worth driving."""
+        return self.separation >= LEAST_SEPARATION
+
+    @property
     def probability(self) -> float:
         """Probability that the right one of two rivals comes out ahead."""
         return float(norm.cdf(np.sqrt(max(self.separation, 0.0)) / 2))
@@ -330,10 +335,9 @@ def separating_manoeuvre(
 ) -> Separation | None:
     """Return the manoeuvre that tells effect `index` of the final model from its rivals.
 
-    Uses what the logs of `data` say of the rivals. None if there is nothing to drive, if the best
-    manoeuvre separates them by less than LEAST_SEPARATION, if a rival is a patch in the floor that
-    may be anywhere, or if the firmware cannot drive this robot: its numbers do not fit the
-    firmware's formats.
+    Uses what the logs of `data` say of the rivals. It may tell them no better than a coin. None if
+    nothing can be driven: for other machines, against a patch in the floor that may be anywhere, or
+    if this robot's numbers do not fit the firmware's formats.
     """
     if machine.kind != "robot" or PATCH in rivals:
         return None
@@ -342,6 +346,7 @@ def separating_manoeuvre(
         for c in range(machine.engine.outputs)
         if all(np.isnan(run.outputs[:, c]).all() for run in data.runs)
     ]
+    machine = machine.of(machine.model, holds_commands=False)  # the firmware is fast
     rehearsal = Rehearsal(machine, Limits(), blank, _rate_of(data.runs[0]))
     truth = _model_of(machine, final)
     without = final.without(index)
@@ -355,8 +360,7 @@ def separating_manoeuvre(
         new = Expected(machine, rehearsal.run(truth, manoeuvre), data.noise, final)
         leads = [_lead_with_logs(new, rival) for rival in fitted]
         found.append(Separation(manoeuvre, min(leads), reach))
-    best = next(iter(_ranked(found)), None)
-    return best if best and best.separation >= LEAST_SEPARATION else None
+    return next(iter(_ranked(found)), None)
 
 
 def plan(

@@ -1,11 +1,4 @@
-"""Logs as the replay engine takes them: SI units, wraps removed, a first guess of the state.
-
-A command that jumps within a row is logged as a mean of what was before and after. All wheels jump
-at once, so with levels a before and b after, the row's means m tell when: b - m = share (b - a) for
-every wheel. Such a row of a robot becomes two, and nothing is measured where the second begins.
-Taken as held, a jump to full duty leaves wheels that slide 0.1 m/s from where they are, which no
-filter takes for chance.
-"""
+"""Logs as the replay engine takes them: SI units, wraps removed, a first guess of the state."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -16,6 +9,7 @@ import numpy.typing as npt
 from omnislip import _core
 from omnislip.errors import InputError
 from omnislip.gap.machine import Machine
+from omnislip.gap.within_rows import parted_at_jumps, rises
 from omnislip.log_file import AXIS_OPTIONAL, POSE_COLUMNS, Log
 from omnislip.model_file import Model
 
@@ -34,15 +28,6 @@ ELECTRIC_CHANNELS = ("supply/voltage_v", *(f"wheel/{wheel}/current_a" for wheel 
 
 ODOMETRY_CHANNELS = ("pose/forward_m", "pose/lateral_m", "pose/theta_rad")
 """Errors of an odometry are told along and across the robot (`body_errors`)."""
-JUMP = 0.1
-"""Change of a duty within a row that is worth a row of its own."""
-SETTLED, TAKEN_BACK = 0.05, 0.5
-"""Changes just before and after it, as a share of it, beside which it is one: a ramp has as much
-again, what fades 0.07 and more. A controller takes much of a jump back within rows."""
-AT_ONCE = 0.1
-"""Share of the jump by which the means of the wheels may be off one common instant."""
-LEAST_SHARE = 0.05
-"""Of a row, nearer to whose ends a command jumps with the row."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +53,8 @@ class Run:
     """`t_s` of the first row of the log."""
     jumped: npt.NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, np.intp))
     """Rows that begin where commands jump within a row of the log."""
+    held: bool = True
+    """Whether commands are held within rows; else they rise there as their means tell."""
 
     @property
     def time_s(self) -> Array:
@@ -98,9 +85,21 @@ class Run:
         sums = np.add.reduceat(length_s * self.command, rows, axis=0)
         return sums / np.add.reduceat(length_s, rows, axis=0)
 
+    @property
+    def rise(self) -> Array:
+        """By how much commands rise within each row (rows, motors) of the recording."""
+        if self.held:
+            return np.zeros_like(self.command)
+        return rises(self.t_s, self.command, self.jumped)
+
     def commanded(self, command: Array) -> "Run":
         """Return the run as if this had been its command (rows, motors)."""
-        return replace(self, command=command, recording=self.recording.commanded(command))
+        run = replace(self, command=command, recording=self.recording.commanded(command))
+        return run if self.held else replace(run, recording=run.recording.rising(run.rise))
+
+    def held_in_rows(self) -> "Run":
+        """Return the run as if commands had been held within rows."""
+        return replace(self, held=True, recording=self.recording.rising(0.0 * self.command))
 
 
 def make_run(machine: Machine, log: Log, begin: int = 0, end: int | None = None) -> Run:
@@ -112,7 +111,7 @@ def make_run(machine: Machine, log: Log, begin: int = 0, end: int | None = None)
         return _odometry_run(machine, log, rows, t_s)
     if machine.kind == "robot":
         command, outputs, state = _robot_signals(machine, log, rows, t_s)
-        t_s, command, outputs, jumped = _parted_at_jumps(t_s, command, outputs)
+        t_s, command, outputs, jumped = parted_at_jumps(t_s, command, outputs)
         channels: tuple[str, ...] = robot_channels(machine)
         counts_per_rad = machine.model.values["encoder.counts_per_rev"] / (2 * np.pi)
         scale = np.array([counts_per_rad] * 4 + [1.0] * (len(channels) - 4))
@@ -127,7 +126,7 @@ def make_run(machine: Machine, log: Log, begin: int = 0, end: int | None = None)
     recording = machine.engine.recording(t_s, command, outputs, state)
     # The engine reads a blank command as "drive off"; for everybody else that is no command.
     off = np.isnan(command[:, 0])
-    return Run(
+    run = Run(
         log.name,
         t_s,
         np.nan_to_num(command),
@@ -140,47 +139,9 @@ def make_run(machine: Machine, log: Log, begin: int = 0, end: int | None = None)
         float(log.t_s[0]),
         jumped,
     )
-
-
-def _parted_at_jumps(
-    t_s: Array, command: Array, outputs: Array
-) -> tuple[Array, Array, Array, npt.NDArray[np.intp]]:
-    """Return rows, commands and outputs with two rows where commands jump within one; the second.
-
-    Levels are those of the neighbours, going on as they change; a row's mean stays as it is. What
-    jumps with the row of a controller that holds its commands for a row stays whole.
-    """
-    change = np.diff(command, axis=0)
-    before, after = change[:-4], change[3:-1]  # from row k - 2, into row k + 2
-    mean, next_mean = command[2:-3], command[3:-2]
-    level = np.clip(command[1:-4] + 0.5 * before, -1.0, 1.0)
-    jump = np.clip(next_mean - 0.5 * after, -1.0, 1.0) - level
-    share = _share_before(mean - level, jump)
-    held = _share_before(mean - level, next_mean - level)  # beyond the row where it has the jump
-    size, whole = np.abs(jump).max(axis=1, initial=0.0), np.sum(np.abs(jump), axis=1)
-    further = np.sum(np.abs(before) + np.maximum(np.sign(jump) * after, 0.0), axis=1)
-    found = (size > JUMP) & (further < SETTLED * whole)
-    found &= np.sum(np.abs(after), axis=1) < TAKEN_BACK * whole
-    found &= np.maximum(np.abs(share - 0.5), np.abs(held - 0.5))[:, 0] < 0.5 - LEAST_SHARE
-    found &= np.abs(mean - level - (1.0 - share) * jump).max(axis=1, initial=0.0) < AT_ONCE * size
-    own = np.flatnonzero(found)
-    first, second = (np.clip(mean + part * jump, -1.0, 1.0)[own] for part in (share - 1.0, share))
-    row = own + 2
-    command = command.copy()
-    command[row] = first
-    at_s = t_s[row] + share[own, 0] * (t_s[row + 1] - t_s[row])
-    return (
-        np.insert(t_s, row + 1, at_s),
-        np.insert(command, row + 1, second, axis=0),
-        np.insert(outputs, row + 1, np.nan, axis=0),
-        row + 1 + np.arange(len(row)),
-    )
-
-
-def _share_before(gone: Array, jump: Array) -> Array:
-    """Share (rows, 1) of the row before a jump (rows, motors) by how far its mean has gone."""
-    square = np.maximum(np.sum(jump**2, axis=1, keepdims=True), 1e-12)
-    return 1.0 - np.sum(gone * jump, axis=1, keepdims=True) / square
+    if machine.kind != "robot" or machine.holds_commands:
+        return run
+    return replace(run, held=False).commanded(run.command)
 
 
 def first_pose(log: Log, begin: int, end: int) -> int:

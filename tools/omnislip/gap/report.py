@@ -191,6 +191,7 @@ def _effects(findings: Findings, numbers: Json) -> list[Json]:
             "rivals": [(rival, _summary(machine, rival)) for rival in selected.rivals],
             "stability": effect["evidence"]["stability"],
             "manoeuvre": effect["separating_manoeuvre"],
+            "none_tells": selected.candidate.name in findings.manoeuvres,
         }
         for selected, effect in zip(named, terms[pushes:], strict=True)
     ]

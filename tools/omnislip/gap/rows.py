@@ -1,23 +1,26 @@
 """What the rows of a log hide: how the command moved within them.
 
 A log at 200 Hz holds the mean command of every row. A controller at 1 kHz moves it within the row.
-What follows is systematic, not noise, and would pass for lags, friction or inductance. It cannot be
-measured; it is a column by which the innovations may be off, its size free within a normal prior:
+What follows is systematic, not noise, and would pass for lags, friction or inductance. What the
+means tell of it is in the recordings (within_rows.py); what they do not is a column by which the
+innovations may be off, its size free within a normal prior:
 
     rise       a command that rises evenly within a row gives the shaft the same speed as its mean,
                but less way; where the contact settles within a row (wheels that grip), what counts
                is where the command ends; and a current that is measured at the row's begin flows
                under less than the mean. The plant itself says what: innovations with commands that
-               rise, less those with commands that are held. A column of deviation 1: a command that
-               is held from row to row has none of it. The rate is that of a parabola through the
-               means of three rows, and a second column leaves a tenth of its change open (all of it
-               would pass for the difference of a delay and a lag).
+               rise more, less those of the recording. Where commands move, more is
+               `SIZE_DEVIATION` of their rises. Where they are taken as held it is all of a rise at
+               the rate of a parabola through the means of three rows, for a controller may yet be
+               faster than them. A second column leaves a tenth of the change of that rate open
+               (all of it would pass for the difference of a delay and a lag).
 
 Integrating the sizes out of the likelihood (covariance I + N N' in place of I) is a projection of
 the whitened innovations: with N = U S V', r becomes r - U (1 - 1 / sqrt(1 + S^2)) U' r.
 
-In closed loop how far commands rise is found and taken out at once (answers.py), and the second
-column is that of commands without their news: a row also answers the one before.
+In closed loop both are of commands without their news, for a row also answers the one before. Where
+it is taken to hold them, how far they rise all the same is found and taken out in place of the
+first column (answers.py).
 """
 
 from collections.abc import Sequence
@@ -32,6 +35,9 @@ from omnislip.gap.recordings import Run
 Array = npt.NDArray[np.float64]
 
 RISING_STEP_S = 1e-3
+SIZE_DEVIATION = 0.3
+"""Of how far commands rise, of what the means of the rows tell: ramps that end within a row, and
+controllers a few times as fast as the rows."""
 RATE_DEVIATION = 0.1
 """Of the rate of a row's rise, as a share of how far the rate from the row before is from it."""
 
@@ -45,23 +51,27 @@ def hidden_columns(
     """
     rises = [rise_of(run, from_before=False) for run in runs]
     before = [rise_of(run, from_before=True) for run in runs]
+    more = [
+        rise if run.held else SIZE_DEVIATION * run.rise
+        for run, rise in zip(runs, rises, strict=True)
+    ]
     unsure = [RATE_DEVIATION * (b - r) for b, r in zip(before, rises, strict=True)]
-    driven = [[run.recording for run in runs], _rising(runs, rises), _rising(runs, unsure)]
+    driven = [[run.recording for run in runs], _rising(runs, more), _rising(runs, unsure)]
     found = machine.engine.innovations(
         [one for group in driven for one in group],
         list(tracks) * len(driven),
         values[None],
         step_s=RISING_STEP_S,
     )
-    held, *rising = (
+    known, *rising = (
         np.concatenate([array[0] for array in found[first : first + len(runs)]]).ravel()
         for first in range(0, len(found), len(runs))
     )
-    return np.stack([one - held for one in rising], axis=1)
+    return np.stack([one - known for one in rising], axis=1)
 
 
-def _rising(runs: Sequence[Run], rises: Sequence[Array]) -> list[_core.Recording]:
-    return [run.recording.rising(rise) for run, rise in zip(runs, rises, strict=True)]
+def _rising(runs: Sequence[Run], more: Sequence[Array]) -> list[_core.Recording]:
+    return [run.recording.rising(run.rise + own) for run, own in zip(runs, more, strict=True)]
 
 
 def rise_of(run: Run, from_before: bool) -> Array:
