@@ -193,6 +193,33 @@ def test_a_jump_that_a_controller_takes_back_keeps_the_mean_of_its_row(before, a
     np.testing.assert_allclose(parts_s @ run.command[6:8], 0.005 * mean, atol=1e-12)
 
 
+@given(
+    after=LEVELS,
+    share=st.floats(0.1, 0.9),
+    phase=st.floats(0.0, 6.28),
+    backwards=st.booleans(),
+)
+def test_a_jump_between_a_wave_and_a_steady_command_is_parted_at_its_instant(
+    after, share, phase, backwards
+):
+    """3 Hz at rows of 5 ms, each wheel in a phase of its own."""
+    turn, size = 2.0 * np.pi * 3.0, np.array([0.2, 0.15, 0.1, 0.2])
+    phases = phase + np.arange(4.0)
+    at_s = (6.0 + share) * 0.005
+    assume(np.abs(after - size * np.sin(turn * at_s + phases)).sum() > 2.0)
+    ends_s = 0.005 * np.arange(15)[:, None]
+    wave = -size * np.cos(turn * np.minimum(ends_s, at_s) + phases) / turn
+    way = np.diff(wave + after * np.maximum(ends_s - at_s, 0.0), axis=0)
+    duty = way[::-1] / 0.005 if backwards else way / 0.005
+    run = make_run(ROBOT, driven(duty))
+    [row] = run.jumped
+    found_s = run.t_s[row] - run.t_s[0]
+    assert found_s == pytest.approx(0.07 - at_s if backwards else at_s, abs=2e-4)
+    parts_s = np.diff(run.t_s)[row - 1 : row + 1]
+    logged = 7 if backwards else 6
+    np.testing.assert_allclose(parts_s @ run.command[row - 1 : row + 1], 0.005 * duty[logged])
+
+
 JUMP_OF_TWO = np.array([0.6, -0.6, 0.0, 0.0])
 NO_JUMPS = {
     "held": np.zeros((14, 4)),
@@ -206,6 +233,13 @@ NO_JUMPS = {
     "out of saturation": np.outer([1.0] * 7 + [0.9 * 0.6**k for k in range(7)], np.ones(4)),
     "with the row, taken back": np.outer(
         [0.0] * 7 + [1.0, 0.94, 0.39, 0.13, 0.07, 0.09, 0.12], np.ones(4)
+    ),
+    "a controller's, between commands that move": np.array(
+        [[0.104, -0.286, -0.104, 0.286]] * 3
+        + [[0.103, -0.286, -0.102, 0.287], [0.102, -0.286, -0.102, 0.288]]
+        + [[0.168, -0.191, -0.036, 0.325], [0.294, -0.009, 0.091, 0.395]]
+        + [[0.305, 0.009, 0.103, 0.401], [0.311, 0.018, 0.108, 0.397]]
+        + [[0.314, 0.029, 0.111, 0.394]] * 5
     ),
     "at the log's end": np.outer([0.0] * 12 + [0.3, 0.6], np.ones(4)),
 }

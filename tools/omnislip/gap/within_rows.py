@@ -26,14 +26,20 @@ Array = npt.NDArray[np.float64]
 
 JUMP = 0.1
 """Change of a duty within a row that is worth a row of its own."""
-SETTLED, TAKEN_BACK = 0.05, 0.5
+SETTLED, SMOOTH, TAKEN_BACK = 0.05, 0.3, 0.5
 """Changes just before and after it, as a share of it, beside which it is one: a ramp has as much
-again, what fades 0.07 and more. A controller takes much of a jump back within rows."""
+again, what fades 0.07 and more. The second where it leads from or to a steady command, as in a
+programme, and what moves does so smoothly: its changes change by less than the first. A controller
+takes much of a jump back within rows."""
+STEADY = 2e-3
+"""The same of a command that is steady: a log has four digits."""
 AT_ONCE = 0.1
 """Share of the jump by which the means of the wheels may be off one common instant."""
 LEAST_SHARE = 0.05
 """Of a row, nearer to whose ends a command jumps with the row."""
 
+ROUNDS = 4
+"""In which the instant of a jump settles to a thousandth of a row."""
 REACH = 2
 """Rows on each side of an end that tell the command there."""
 
@@ -43,28 +49,41 @@ def parted_at_jumps(
 ) -> tuple[Array, Array, Array, npt.NDArray[np.intp]]:
     """Return rows, commands and outputs with two rows where commands jump within one; the second.
 
-    Levels are those of the neighbours, going on as they change; a row's mean stays as it is. What
-    jumps with the row of a controller that holds its commands for a row stays whole.
+    On both sides they go on as they changed; a row's mean stays as it is. What jumps with the row
+    of a controller that holds its commands for a row stays whole.
     """
     change = np.diff(command, axis=0)
     before, after = change[:-4], change[3:-1]  # from row k - 2, into row k + 2
-    mean, next_mean = command[2:-3], command[3:-2]
-    level = np.clip(command[1:-4] + 0.5 * before, -1.0, 1.0)
-    jump = np.clip(next_mean - 0.5 * after, -1.0, 1.0) - level
-    share = _share_before(mean - level, jump)
-    held = _share_before(mean - level, next_mean - level)  # beyond the row where it has the jump
+    mean, last, following = command[2:-3], command[1:-4], command[3:-2]
+    share = np.full((len(mean), 1), 0.5)
+    for _ in range(ROUNDS):  # the means of both parts depend on their lengths
+        left = np.clip(last + 0.5 * (1.0 + share) * before, -1.0, 1.0)
+        right = np.clip(following - (1.0 - 0.5 * share) * after, -1.0, 1.0)
+        jump = right - left
+        share = _share_before(mean - left, jump)
+    level = last + 0.5 * before
+    held = _share_before(mean - level, following - level)  # beyond the row where it has the jump
     size, whole = np.abs(jump).max(axis=1, initial=0.0), np.sum(np.abs(jump), axis=1)
-    further = np.sum(np.abs(before) + np.maximum(np.sign(jump) * after, 0.0), axis=1)
-    found = (size > JUMP) & (further < SETTLED * whole)
-    found &= np.sum(np.abs(after), axis=1) < TAKEN_BACK * whole
+    onward = np.maximum(np.sign(jump) * after, 0.0)
+    further = np.sum(np.abs(before) + onward, axis=1)
+    bent = np.abs(np.diff(before, axis=0, prepend=before[:1]))
+    bent += (onward > 0.0) * np.abs(np.diff(after, axis=0, append=after[-1:]))
+    moved = [np.sum(np.abs(side), axis=1) for side in (before, after)]
+    smooth = (further < SMOOTH * whole) & (np.sum(bent, axis=1) < SETTLED * whole)
+    smooth &= np.minimum(*moved) < STEADY * whole
+    found = (size > JUMP) & ((further < SETTLED * whole) | smooth)
+    found &= moved[1] < TAKEN_BACK * whole
     found &= np.maximum(np.abs(share - 0.5), np.abs(held - 0.5))[:, 0] < 0.5 - LEAST_SHARE
-    found &= np.abs(mean - level - (1.0 - share) * jump).max(axis=1, initial=0.0) < AT_ONCE * size
+    found &= np.abs(mean - left - (1.0 - share) * jump).max(axis=1, initial=0.0) < AT_ONCE * size
     own = np.flatnonzero(found)
-    first, second = (np.clip(mean + part * jump, -1.0, 1.0)[own] for part in (share - 1.0, share))
+    share, mean = share[own], mean[own]
+    first = np.clip(mean - (1.0 - share) * jump[own], -1.0, 1.0)
+    second = np.clip((mean - share * first) / (1.0 - share), -1.0, 1.0)
+    first = np.clip((mean - (1.0 - share) * second) / share, -1.0, 1.0)
     row = own + 2
     command = command.copy()
     command[row] = first
-    at_s = t_s[row] + share[own, 0] * (t_s[row + 1] - t_s[row])
+    at_s = t_s[row] + share[:, 0] * (t_s[row + 1] - t_s[row])
     return (
         np.insert(t_s, row + 1, at_s),
         np.insert(command, row + 1, second, axis=0),
@@ -76,7 +95,7 @@ def parted_at_jumps(
 def _share_before(gone: Array, jump: Array) -> Array:
     """Share (rows, 1) of the row before a jump (rows, motors) by how far its mean has gone."""
     square = np.maximum(np.sum(jump**2, axis=1, keepdims=True), 1e-12)
-    return 1.0 - np.sum(gone * jump, axis=1, keepdims=True) / square
+    return np.clip(1.0 - np.sum(gone * jump, axis=1, keepdims=True) / square, 0.0, 1.0)
 
 
 def rises(t_s: Array, command: Array, jumped: npt.NDArray[np.intp]) -> Array:
