@@ -254,10 +254,11 @@ def robot(
 
     words = read_store(store) if store is not None else []
     virtual = make_robot(read_model(robot or NOMINAL_ROBOT), words, on_board)
-    with pseudo_terminal() as (master, port), port_link_to(port, port_link), _stop_signals():
-        print(f"robot at {port_link or port}", flush=True)
+    with _stop_signals():
         try:
-            serve(virtual, master, store, _say_late)
+            with pseudo_terminal() as (master, port), port_link_to(port, port_link):
+                print(f"robot at {port_link or port}", flush=True)
+                serve(virtual, master, store, _say_late)
         except KeyboardInterrupt:
             x_m, y_m, theta_rad = virtual.truth["pose"]
             print(

@@ -160,7 +160,8 @@ def _effects(findings: Findings, numbers: Json) -> list[Json]:
     """
     machine, pushes = findings.machine, len(findings.impacts)
     named = findings.outcome.selected if findings.outcome else []
-    nothing = {"sizes": [], "pushes": [], "rivals": [], "stability": None, "manoeuvre": None}
+    nothing = {"sizes": [], "pushes": [], "rivals": [], "stability": None}
+    nothing |= {"manoeuvre": None, "none_tells": False}
     terms = numbers["effects"][len(findings.wiring) :] or numbers["nearest"]
     gates = [
         nothing
