@@ -3,6 +3,7 @@
 import signal
 import subprocess
 import sys
+import time
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -30,4 +31,8 @@ def serve_robot(folder, *words):
     process = subprocess.Popen(
         [*command, *map(str, words)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
+    until_s = time.monotonic() + START_TIME_S
+    while not port.is_symlink() and process.poll() is None:
+        assert time.monotonic() < until_s
+        time.sleep(0.02)
     return Served(process, port, process.stdout.readline())

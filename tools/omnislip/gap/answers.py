@@ -77,7 +77,7 @@ CHANCE_S = 0.03
 """Disturbances fade at 40 per second or faster (noise.py)."""
 ROW_BY_ROW = 0.05
 """Share of what is new in a command that innovations explain from which on it is set row by row by
-what was measured at its begin: 0.11 to 0.43 of such controllers, up to 0.02 of those at 1 kHz,
+what was measured at its begin: 0.12 to 0.42 of such controllers, up to 0.02 of those at 1 kHz,
 whose rows mostly answer what happens within them."""
 CREEP_RAD_S = 2.0
 """Speed of a shaft below which the sign of its friction is smooth (sim/robot_plant.h)."""

@@ -8,8 +8,8 @@ over a window of half width T, phi = c (1 - (t / T)^2)^4 with integral 1, any si
 so that the derivatives go to phi, which is known exactly, and counts, gyro and camera enter as they
 were logged. Between samples y is a straight line, which makes the integrals finite sums (that of
 phi y itself by the mean of both ends); steady motion leaves nothing whatever the jitter of the
-rows. The noise of the sensors goes through the
-same sums. The model's accelerations are averaged by the same phi along the filtered states.
+rows. The noise of the sensors goes through the same sums. The model's accelerations are averaged by
+the same phi along the filtered states.
 
     wheel i              r_i = J_i (theta_i'' - model): torque at the shaft
     body                 r_b = M (acceleration by camera and gyro - model): forces, moment
@@ -40,6 +40,7 @@ import numpy as np
 import numpy.typing as npt
 
 from omnislip import _core
+from omnislip.gap.leftover import NULL_SPACE
 from omnislip.gap.machine import Machine
 from omnislip.gap.metrics import WINDOW_S, Replays
 from omnislip.gap.noise import GYRO, HEADING, POSE_XY, SHAFT, Noise, track_all
@@ -53,7 +54,6 @@ CENTRES_S = np.arange(HALF_S, WINDOW_S - HALF_S, HALF_S)
 """Middles of the windows after each restart of the replays: none holds another restart."""
 LEAST_SAMPLES = 6
 """Of a sensor within a window: fewer do not resolve the bump."""
-NULL_SPACE = np.array([1.0, -1.0, 1.0, -1.0])
 WHEELS, BODY = SHAFT, slice(4, 7)
 FORCES = (("force along x", "N"), ("force along y", "N"), ("moment", "N m"))
 _SHAPE = np.polynomial.Polynomial([1.0, 0.0, -1.0]) ** 4

@@ -37,7 +37,6 @@ AT_ONCE = 0.1
 """Share of the jump by which the means of the wheels may be off one common instant."""
 LEAST_SHARE = 0.05
 """Of a row, nearer to whose ends a command jumps with the row."""
-
 ROUNDS = 4
 """In which the instant of a jump settles to a thousandth of a row."""
 REACH = 2
@@ -104,8 +103,7 @@ def rises(t_s: Array, command: Array, jumped: npt.NDArray[np.intp]) -> Array:
     Rows `jumped` begin where commands jump: nothing goes on from before.
     """
     found = np.zeros_like(command)
-    begins = [0, *jumped, len(command) - 1]
-    for begin, end in pairwise(begins):
+    for begin, end in pairwise([0, *jumped, len(command) - 1]):
         if end > begin:
             mean = command[begin:end]
             ends = _at_ends(np.diff(t_s[begin : end + 1]), mean)
