@@ -36,6 +36,7 @@ from omnislip.gap.inference import (
     fitted_without_each_unit,
     free_of_fitted,
     left_by_shapes,
+    linearise,
     objective,
     prior_penalty,
     weigh,
@@ -75,6 +76,24 @@ def estimate(machine, log, effect, start):
     with_effect = without_effects(machine).with_effect(candidate(machine, effect), [start])
     fitted = fit(data, with_effect)
     return fitted, weigh(data, believed, fitted, 0)
+
+
+def test_naming_an_effect_last_turns_nothing_but_the_order(exact):
+    runs = [make_run(exact, make_log(Bench(coulomb_n=2.0), seed=1))]
+    data = Data(exact, runs, true_noise(), without_effects(exact))
+    names = ["coulomb_friction", "asymmetric_friction", "dead_zone"]
+    hypothesis = without_effects(exact)
+    for name in names:
+        effect = candidate(exact, name)
+        hypothesis = hypothesis.with_effect(effect, [0.1 * p.scale for p in effect.parameters])
+    fitted = fit(data, hypothesis, iterations=1)
+    for index in range(len(names)):
+        moved = fitted.moved_last(index)
+        assert [e.effect for e in moved.hypothesis.effects][-1] == names[index]
+        [residual], [jacobian] = linearise(data, [moved.hypothesis], last=[moved.jacobian])
+        np.testing.assert_allclose(residual, moved.residual)
+        size = np.linalg.norm(jacobian, axis=0)
+        assert np.all(np.linalg.norm(moved.jacobian - jacobian, axis=0) < 0.01 * size)
 
 
 def scores(machine, bench, effect, start, truth):

@@ -296,6 +296,32 @@ def test_answers_within_a_row_are_no_delay_of_some_rows(tmp_path):
     assert ahead.trials == []
 
 
+@pytest.mark.parametrize(
+    ("hidden", "named"),
+    [
+        ("actuation_delay", "driver_lag"),
+        ("driver_lag", "actuation_delay"),
+        ("driver_lag", "armature_inductance"),
+    ],
+)
+def test_a_wrong_name_gives_way_although_the_noise_was_tuned_beside_it(tmp_path, hidden, named):
+    """Of 1.5 ms of lag or delay, a third of a row; the right name stays."""
+    names = ["driver_lag", "actuation_delay", "armature_inductance"]
+    robot = Machine(read_model(NOMINAL_ROBOT))
+    labels = {c.effect: c.parameters[0].label for c in robot.candidates()}
+    effect = HiddenEffect(hidden, {labels[hidden]: 0.0015}).as_dict()
+    case = TruthCase(seed=77, effects=(effect,), excitation="rich", runs=2)
+    robot, runs, candidates = robot_runs(case, tmp_path)
+    for first in (named, hidden):
+        start = believed_hypothesis(robot).with_effect(candidates[first], [0.001])
+        rivals = {first: [candidates[name] for name in names if name != first]}
+        data, fitted = settle(robot, runs, start)
+        data, found, compared = search_module._likeliest(data, fitted, rivals, silent)
+        assert [effect.effect for effect in found.hypothesis.effects] == [hidden]
+        assert len(compared) == 1
+        assert found.hypothesis.values_of(0) == pytest.approx([0.0015], rel=0.15)
+
+
 def test_edges_of_a_patch_that_were_drawn_to_a_wrong_place_are_found_again(tmp_path):
     """Beside the other effects as they are; some centimetres away there is nothing to descend."""
     floor = {"x_min_m": -0.1, "x_max_m": 0.4, "scale": 0.5}

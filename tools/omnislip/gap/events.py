@@ -42,7 +42,7 @@ OVER_LEVEL = 12.0
 EXPLAINED = 0.15
 """Share of the squared innovations of the horizon that the jump must take away to be tried with the
 plant. Not more: after a hard push wheels slide, and the linear response is far off (0.35 for a push
-of 0.32 m/s, 0.28 for one of 0.54)."""
+of 0.32 m/s, less than 0.3 for one of 0.54)."""
 REPLAYED = 0.8
 """The same share of the plant's own replay: pushes of 0.06 to 0.5 m/s explained 0.96 and more of
 it, what wheels that break loose in violent driving feign 0.5 to 0.77."""

@@ -57,6 +57,9 @@ DIVERGED = 1e3
 CONVERGED, NEAR_THE_END = 0.05, 1.0
 """Gain of Q below which a fit ends; the same of a step that kept what it promised: what the next
 one gains is of second order in it."""
+FAR_CONVERGED = 1e-4
+"""The first as a share of what a fit leaves beyond chance: of a model that is far off, such as one
+without an effect that is there, nobody asks how far to a hundredth."""
 LEAST_INFORMATION = 1e-6
 FEW_BLOCKS = 3
 """Blocks that make an inflation, up to which they may be left out."""
@@ -199,6 +202,14 @@ class Fit:
         shared = np.delete(self.jacobian, self.hypothesis.own(index), axis=1)
         return replace(self, hypothesis=self.hypothesis.without(index), jacobian=shared)
 
+    def moved_last(self, index: int) -> "Fit":
+        """Return this fit with its effect number `index` named last."""
+        own = self.hypothesis.own(index)
+        columns = np.arange(self.jacobian.shape[1])
+        order = np.concatenate([np.delete(columns, own), columns[own]])
+        hypothesis = self.hypothesis.moved_last(index)
+        return replace(self, hypothesis=hypothesis, jacobian=self.jacobian[:, order])
+
     def slope(self, believed: Array) -> Array:
         """Return half the derivative of Q by the parameters in units of their scales."""
         slope = self.jacobian.T @ self.residual
@@ -288,6 +299,14 @@ class Data:
         if self._foreseen is not None:
             found = self._foreseen.residuals(found, self._innovations_newsless(sets))
         return self._scaled(found)
+
+    def hidden_square(self, values: Array) -> float:
+        """Return what of the square of the innovations of a parameter set (parameters,) is hidden.
+
+        That is, could be due to what rows do not tell.
+        """
+        [found] = self._innovations(self.recordings, values[None])
+        return float(np.sum(found**2) - np.sum(self._hidden.apply(found[None]) ** 2))
 
     def residuals_unseen(self, fits: Sequence["Fit"], sets: Array) -> Array:
         """Return residuals (fits, m) of fits where each unit of runs has a set of its own.
@@ -493,12 +512,14 @@ def fit(data: Data, hypothesis: Hypothesis, iterations: int = 10, last: Array | 
     current, fine = hypothesis, last is not None or not hypothesis.effects
     [residual], [jacobian] = linearise(data, [current], last=None if last is None else [last])
     best = _cost(data, current, residual)
+    chance = np.count_nonzero(residual)
     for _ in range(iterations):
+        converged = max(CONVERGED, FAR_CONVERGED * (best - chance))
         here = Fit(current, best, residual, jacobian)
         slope = here.slope(data.believed)
         step = solve_within(here.information, slope, *current.room())
         promised = float(-2.0 * slope @ step - step @ here.information @ step)
-        if promised < CONVERGED and fine:
+        if promised < converged and fine:
             break
         rows = np.clip(current.x + np.outer(STEPS, step * scale), low, high)
         trials = [replace(current, x=row) for row in rows]
@@ -509,9 +530,9 @@ def fit(data: Data, hypothesis: Hypothesis, iterations: int = 10, last: Array | 
         if gained > 0:
             current, best, residual = trials[pick], costs[pick], found[pick]
         kept = gained < NEAR_THE_END and abs(gained - promised) < CONVERGED
-        if fine and (kept or gained < CONVERGED):
+        if fine and (kept or gained < converged):
             break  # so near that the derivative is still that of the optimum
-        first = 0 if gained >= CONVERGED else len(current.base)
+        first = 0 if gained >= converged else len(current.base)
         _, [own] = linearise(data, [current], first, [residual], [jacobian[:, first:]])
         jacobian, fine = np.hstack([jacobian[:, :first], own]), True
     return Fit(current, best, residual, jacobian)
