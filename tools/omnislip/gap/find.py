@@ -280,7 +280,7 @@ def find_gap(
     mended += _jolt_words(impacts) if jolts else [_impact_words(impact) for impact in impacts]
     manoeuvres = {}
     for index, one in enumerate(outcome.selected):
-        if one.rivals:
+        if one.rivals and verdict != "unknown_effect":  # of an unknown one no name is right
             progress(f"looking for a manoeuvre that separates {one.candidate.name} from its rivals")
             best = separating_manoeuvre(
                 machine, outcome.data, outcome.final.hypothesis, index, one.rivals
