@@ -57,6 +57,16 @@ def test_momentum_of_a_push_is_right_within_a_fifth(tmp_path, push):
     assert np.all(np.abs(impact.impulse - push) < 3 * impact.deviation)
 
 
+def test_a_push_after_which_wheels_slide_is_found(tmp_path, monkeypatch):
+    """Of 0.6 m/s: the linear response explains too little of what a light one may leave."""
+    push = (12.0, 0.0, 0.0)
+    (impact,) = found_in(tmp_path, push, friction_curve="tanh")
+    assert impact.time_s == pytest.approx(2.5031, abs=0.015)
+    assert impact.impulse == pytest.approx(push, abs=1.2)
+    monkeypatch.setattr(events, "HARD_M_S", 1.0)
+    assert found_in(tmp_path / "again", push, friction_curve="tanh") == []
+
+
 @pytest.mark.parametrize("curve", ["atan", "tanh"])
 def test_driving_hard_is_no_push(tmp_path, curve):
     assert found_in(tmp_path, friction_curve=curve) == []

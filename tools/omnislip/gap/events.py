@@ -39,10 +39,11 @@ LEAST_RATIO = 60.0
 """g beyond which chance is out of the question (p = 6e-13; rows of an hour: 7e5)."""
 OVER_LEVEL = 12.0
 """Factor by which g must exceed the 80th percentile of its run (4.6 where nothing is wrong)."""
-EXPLAINED = 0.15
-"""Share of the squared innovations of the horizon that the jump must take away to be tried with the
-plant. Not more: after a hard push wheels slide, and the linear response is far off (0.35 for a push
-of 0.32 m/s, less than 0.3 for one of 0.54)."""
+EXPLAINED, HARD_EXPLAINED, HARD_M_S = 0.3, 0.15, 0.25
+"""Share of the squared innovations of the horizon that the jump must take away; and that of a jump
+so hard: wheels slide after it, and the linear response is far off (0.35 for a push of 0.32 m/s,
+less than 0.3 for one of 0.54). Of lighter ones that would let through what an unknown effect does.
+"""
 REPLAYED = 0.8
 """The same share of the plant's own replay: pushes of 0.06 to 0.5 m/s explained 0.96 and more of
 it, what wheels that break loose in violent driving feign 0.5 to 0.77."""
@@ -120,12 +121,14 @@ def find_impacts(
         ratio, jump, explained = pushes.ratios()
         level = float(np.percentile(ratio, 80))
         for peak in _peaks(run.t_s, ratio, max(LEAST_RATIO, OVER_LEVEL * level)):
-            if explained[peak] >= EXPLAINED:
+            if explained[peak] >= HARD_EXPLAINED:
                 row = pushes.likeliest_row(peak)
                 filtered = track.state.reshape(len(run.t_s), -1)
                 impact = _size_up(machine, run, row, values, noise, filtered, jump[row])
+                jump_m_s = impact.jump_m_s(machine)
+                shown = explained[peak] >= EXPLAINED or jump_m_s >= HARD_M_S
                 least = max(LEAST_JUMP_M_S, _feigned_m_s(machine, run, row, values))
-                if impact.confirmed and least <= impact.jump_m_s(machine) <= MOST_JUMP_M_S:
+                if shown and impact.confirmed and least <= jump_m_s <= MOST_JUMP_M_S:
                     impacts.append(impact)
     return without_repeated(runs, impacts)
 
