@@ -296,30 +296,59 @@ def test_answers_within_a_row_are_no_delay_of_some_rows(tmp_path):
     assert ahead.trials == []
 
 
-@pytest.mark.parametrize(
-    ("hidden", "named"),
-    [
-        ("actuation_delay", "driver_lag"),
-        ("driver_lag", "actuation_delay"),
-        ("driver_lag", "armature_inductance"),
-    ],
-)
-def test_a_wrong_name_gives_way_although_the_noise_was_tuned_beside_it(tmp_path, hidden, named):
-    """Of 1.5 ms of lag or delay, a third of a row; the right name stays."""
-    names = ["driver_lag", "actuation_delay", "armature_inductance"]
+LAGS = ("driver_lag", "actuation_delay", "armature_inductance")
+
+
+def lag_named(folder, hidden, named):
+    """Data with 1.5 ms of lag or delay, their fit under a name, and what may stand in its place."""
     robot = Machine(read_model(NOMINAL_ROBOT))
     labels = {c.effect: c.parameters[0].label for c in robot.candidates()}
     effect = HiddenEffect(hidden, {labels[hidden]: 0.0015}).as_dict()
     case = TruthCase(seed=77, effects=(effect,), excitation="rich", runs=2)
-    robot, runs, candidates = robot_runs(case, tmp_path)
-    for first in (named, hidden):
-        start = believed_hypothesis(robot).with_effect(candidates[first], [0.001])
-        rivals = {first: [candidates[name] for name in names if name != first]}
-        data, fitted = settle(robot, runs, start)
-        data, found, compared = search_module._likeliest(data, fitted, rivals, silent)
-        assert [effect.effect for effect in found.hypothesis.effects] == [hidden]
-        assert len(compared) == 1
-        assert found.hypothesis.values_of(0) == pytest.approx([0.0015], rel=0.15)
+    robot, runs, candidates = robot_runs(case, folder)
+    start = believed_hypothesis(robot).with_effect(candidates[named], [0.001])
+    rivals = {named: [candidates[name] for name in LAGS if name != named]}
+    return *settle(robot, runs, start), rivals
+
+
+@pytest.mark.parametrize(
+    ("hidden", "named"),
+    [
+        ("actuation_delay", "driver_lag"),
+        ("driver_lag", "armature_inductance"),
+        ("driver_lag", "driver_lag"),
+    ],
+)
+def test_the_right_name_has_its_place_at_the_end(tmp_path, hidden, named):
+    data, fitted, rivals = lag_named(tmp_path, hidden, named)
+    data, found, compared = search_module._likeliest(data, fitted, rivals, 100, silent)
+    assert [effect.effect for effect in found.hypothesis.effects] == [hidden]
+    assert found.hypothesis.values_of(0) == pytest.approx([0.0015], rel=0.15)
+    assert len(compared) == 1
+    assert named == hidden or named in {
+        one.hypothesis.effects[-1].name for one in compared[0].rivals
+    }
+
+
+@pytest.mark.parametrize(("nats", "named"), [(1.0, "driver_lag"), (1e3, "actuation_delay")])
+def test_what_loses_by_the_noise_of_another_takes_its_place_if_likelier_by_its_own(
+    tmp_path, monkeypatch, nats, named
+):
+    """Every rival is near enough to be asked here; likelihoods are given."""
+    data, fitted, rivals = lag_named(tmp_path, "driver_lag", "driver_lag")
+    of = {"driver_lag": 0.0, "actuation_delay": nats, "armature_inductance": -1.0}
+
+    def given(_data, one):
+        return of[one.hypothesis.effects[-1].effect]
+
+    monkeypatch.setattr(search_module, "NEARLY", 1.0)
+    monkeypatch.setattr(search_module, "_log_posterior", given)
+    before = search_module._compare_all(data, fitted, rivals, silent)[0]
+    rival_names = [one.hypothesis.effects[-1].effect for one in before.rivals]
+    lost = dict(zip(rival_names, before.lost(fitted), strict=True))
+    assert lost["actuation_delay"] > 0
+    _, found, _ = search_module._likeliest(data, fitted, rivals, 100, silent)
+    assert [effect.effect for effect in found.hypothesis.effects] == [named]
 
 
 def test_edges_of_a_patch_that_were_drawn_to_a_wrong_place_are_found_again(tmp_path):

@@ -48,7 +48,7 @@ from omnislip.gap.inference import (
 )
 from omnislip.gap.machine import CURVE, Candidate, Machine
 from omnislip.gap.metrics import WINDOW_S, gap_table, replay_all
-from omnislip.gap.noise import STEP_S, Noise, tune_noise
+from omnislip.gap.noise import Noise, tune_noise
 from omnislip.gap.peers import FREE
 from omnislip.gap.recordings import Run
 from omnislip.gap.search import (
@@ -64,6 +64,7 @@ Pair = tuple[str, int | None]
 METHODS = ("base refit", "BIC", "SINDy", "ridge")
 REFITS, ITERATIONS, MOST_EFFECTS = 3, 3, 3
 """Three effects are two and a friction curve: no case hides more."""
+REPLAY_STEP_S = 2.5e-3
 SPAN_ROWS = 8
 SHAFTS_AND_BODY = (0, 1, 2, 3, 8, 9, 10)
 """States whose accelerations are compared."""
@@ -129,7 +130,7 @@ class OpenLoop(Data):
 
     def _errors(self, sets: Array) -> Array:
         engine = self.machine.engine
-        replays = engine.replays(self.recordings, self.tracks, sets, STEP_S, WINDOW_S)
+        replays = engine.replays(self.recordings, self.tracks, sets, REPLAY_STEP_S, WINDOW_S)
         parts = [
             np.where(weight > 0, error[:, kept] * weight, 0.0).reshape(len(sets), -1)
             for error, kept, weight in zip(replays, self._kept, self._weights, strict=True)

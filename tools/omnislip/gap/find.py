@@ -279,12 +279,12 @@ def find_gap(
     mended = [_wiring_words(effect) for effect in wiring]
     mended += _jolt_words(impacts) if jolts else [_impact_words(impact) for impact in impacts]
     manoeuvres = {}
-    for index, one in enumerate(outcome.selected):
+    final = outcome.final.hypothesis
+    for one in outcome.selected:
         if one.rivals and verdict != "unknown_effect":  # of an unknown one no name is right
             progress(f"looking for a manoeuvre that separates {one.candidate.name} from its rivals")
-            best = separating_manoeuvre(
-                machine, outcome.data, outcome.final.hypothesis, index, one.rivals
-            )
+            place = [effect.name for effect in final.effects].index(one.candidate.name)
+            best = separating_manoeuvre(machine, outcome.data, final, place, one.rivals)
             manoeuvres |= {one.candidate.name: best} if best else {}
     return Findings(
         verdict,

@@ -300,13 +300,14 @@ class Data:
             found = self._foreseen.residuals(found, self._innovations_newsless(sets))
         return self._scaled(found)
 
-    def hidden_square(self, values: Array) -> float:
-        """Return what of the square of the innovations of a parameter set (parameters,) is hidden.
+    def hidden_likelihood(self, values: Array) -> float:
+        """Return what integrating over what rows hide adds to the log likelihood of a set.
 
-        That is, could be due to what rows do not tell.
+        `values` (parameters,) is near the model by which the predictor was frozen.
         """
         [found] = self._innovations(self.recordings, values[None])
-        return float(np.sum(found**2) - np.sum(self._hidden.apply(found[None]) ** 2))
+        fall = np.sum(found**2) - np.sum(self._hidden.apply(found[None]) ** 2)
+        return 0.5 * float(fall - self._hidden.log_determinant)
 
     def residuals_unseen(self, fits: Sequence["Fit"], sets: Array) -> Array:
         """Return residuals (fits, m) of fits where each unit of runs has a set of its own.

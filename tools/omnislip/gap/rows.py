@@ -129,6 +129,8 @@ class Projection:
     def __init__(self, columns: Array) -> None:
         self._axes, sizes, _ = np.linalg.svd(columns, full_matrices=False)
         self._share = 1.0 - 1.0 / np.sqrt(1.0 + sizes**2)
+        self.log_determinant = float(np.sum(np.log1p(sizes**2)))
+        """Of the covariance of white residuals with what is hidden."""
 
     def apply(self, residuals: Array) -> Array:
         """Return the residuals without that part."""

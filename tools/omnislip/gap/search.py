@@ -46,7 +46,7 @@ from omnislip.gap.inference import (
 from omnislip.gap.leftover import Leftover, find_leftover
 from omnislip.gap.machine import CURVE, PHASE, WHOLE, Candidate, Machine
 from omnislip.gap.metrics import improvement, replay_all
-from omnislip.gap.noise import Noise, track_all, tune_noise
+from omnislip.gap.noise import Noise, RunawayError, track_all, tune_noise
 from omnislip.gap.recordings import Run
 
 Array = npt.NDArray[np.float64]
@@ -251,7 +251,7 @@ def search(
     data, final = _patch_settled(data, _extend(machine, data, final))
     final = _drop_needless(data, final, tried)
     final = _whole_numbers(data, final)
-    data, final, compared = _likeliest(data, final, neighbours, progress)
+    data, final, compared = _likeliest(data, final, neighbours, tried, progress)
     progress("looking for what no effect explains")
     leftover = find_leftover(data, final)
     ladder = _ladder(data, base_values, final)
@@ -1035,10 +1035,7 @@ def _swap(
         better = [one for one in tried if _takes_its_place(data, without, effect, judged, one)]
         if better:
             best = min(better, key=lambda one: one.objective)
-            neighbours[best.hypothesis.effects[-1].name] = [
-                effect,
-                *neighbours.get(effect.name, []),
-            ]
+            _may_stand_for(neighbours, best.hypothesis.effects[-1].name, effect)
             fitted = fit(data, best.hypothesis, last=best.jacobian)
         else:
             index += 1
@@ -1085,14 +1082,14 @@ def _curves_in(fitted: Fit) -> set[str]:
 def _log_posterior(data: Data, fitted: Fit) -> float:
     """Return the logarithm of the likelihood by the data's noise and of the base parameters'.
 
-    At the best of what the rows hide.
+    What the rows hide is integrated out. Minus infinity where the filter loses the robot.
     """
     hypothesis = fitted.hypothesis
     values = hypothesis.flat(data.believed)
     tracks = track_all(data.machine, data.runs, values, data.noise)
     prior = prior_penalty(hypothesis, data.believed, hypothesis.x)
-    square = data.hidden_square(values) - np.sum(prior**2)
-    return float(sum(t.log_likelihood for t in tracks) + 0.5 * square)
+    likelihood = sum(t.log_likelihood for t in tracks) + data.hidden_likelihood(values)
+    return float(np.nan_to_num(likelihood - 0.5 * np.sum(prior**2), nan=-np.inf))
 
 
 def _takes_its_place(
@@ -1152,45 +1149,74 @@ def _compare_all(
 
 
 def _likeliest(
-    data: Data, final: Fit, neighbours: dict[str, list[Candidate]], progress: Progress
+    data: Data,
+    final: Fit,
+    neighbours: dict[str, list[Candidate]],
+    tried: int,
+    progress: Progress,
 ) -> tuple[Data, Fit, list[_Compared]]:
     """Put another effect in the place of one where that is likelier, each model by its own noise.
 
     Noise that was tuned beside a wrong name takes a part of what that leaves for chance: a delay of
-    1.4 ms lost 48 to a lag by noise that fits the lag, and is likelier by exp(143) by its own. No
-    likelihood judges where a controller answers within rows (answers.py).
+    1.4 ms lost 48 to a lag by noise that fits the lag, and is likelier by exp(143) by its own. What
+    is better even by the noise of the other needs no margin. No likelihood judges where a
+    controller answers within rows (answers.py).
     """
-    for left in reversed(range(MOST_EFFECTS)):
-        compared = _compare_all(data, final, neighbours, progress)
-        if not left or (data.answers and not data.machine.holds_commands):
-            break
+    settled = set[str]()
+    compared = _compare_all(data, final, neighbours, progress)
+    while not data.answers or data.machine.holds_commands:
         near = [
             (index, rival, lost)
             for index, one in enumerate(compared)
             for rival, lost in zip(one.rivals, one.lost(final), strict=True)
             if lost < max(RIVAL_MARGIN, NEARLY * one.evidence.beyond_chance)
+            and _last_of(rival)[0].name not in settled
             and not _within_row(data, *_last_of(rival))
         ]
         if not near:
             break
-        least = _log_posterior(*settle(data.machine, data.runs, final.hypothesis, data.noise))
-        best = None
+        own_likelihood = _log_posterior(*_with_own_noise(data, final))
+        likelier = []
         for index, rival, lost in near:
             effect, name = final.hypothesis.effects[index], _last_of(rival)[0].name
             progress(f"comparing {effect.name} and {name}, each by its own noise")
-            own, one = settle(
-                data.machine, data.runs, rival.hypothesis, data.noise, last=rival.jacobian
-            )
-            one = _extend(data.machine, own, one)
-            likelihood = _log_posterior(own, one)
-            clear = 0.0 if lost < -RIVAL_MARGIN else 0.5 * RIVAL_MARGIN
-            if likelihood > least + clear * compared[index].evidence.inflation:
-                best, least = (own, one, effect, name), likelihood
-        if best is None:
+            try:
+                own = _with_own_noise(data, rival)
+            except RunawayError:
+                continue
+            likelihood = _log_posterior(*own)
+            margin = 0.0 if lost < -RIVAL_MARGIN else 0.5 * RIVAL_MARGIN
+            enough = own_likelihood + margin * compared[index].evidence.inflation
+            if likelihood > enough and _helps_unseen(*own, name):
+                likelier.append((likelihood, *own, effect, name))
+        if not likelier:
             break
-        data, final, effect, name = best
-        neighbours[name] = [effect, *neighbours.get(effect.name, [])]
+        _, data, final, effect, name = max(likelier, key=lambda one: one[0])
+        settled.add(effect.name)
+        _may_stand_for(neighbours, name, effect)
+        data, final = _patch_settled(data, final)
+        final = _whole_numbers(data, _drop_needless(data, final, tried))
+        compared = _compare_all(data, final, neighbours, progress)
     return data, final, compared
+
+
+def _with_own_noise(data: Data, fitted: Fit) -> tuple[Data, Fit]:
+    """Settle a model with the noise that fits it, and refine its effects."""
+    own, one = settle(data.machine, data.runs, fitted.hypothesis, data.noise, last=fitted.jacobian)
+    return own, _extend(data.machine, own, one)
+
+
+def _helps_unseen(data: Data, fitted: Fit, name: str) -> bool:
+    """Whether an effect of the model helps runs that were not fitted."""
+    place = [effect.name for effect in fitted.hypothesis.effects].index(name)
+    [check] = check_unseen(data, fitted.refitted_without(data, place), [fitted.moved_last(place)])
+    return check.helps
+
+
+def _may_stand_for(neighbours: dict[str, list[Candidate]], name: str, effect: Candidate) -> None:
+    """Note that an effect which gave way to another may stand in its place."""
+    others = [c for c in neighbours.get(effect.name, []) if c.name != effect.name]
+    neighbours[name] = [effect, *others]
 
 
 def _last_of(fitted: Fit) -> tuple[Candidate, Array]:
