@@ -4,10 +4,10 @@
  * value at its begin) / h, so the weighted sum of the stages gives that end value.
  *
  * Error per step O(h^5), stable for h * rate < 2.78 on the negative real axis. `step_count` keeps
- * h <= the wanted step, and h * rate <= 1.4 down to steps of half a millisecond, so a stiff contact is
- * cut finer instead of blowing up. Shorter steps need no more than to be stable, h * rate <= 2.0: what
- * is faster (teeth that meet, a light rim on a soft shaft) follows the rest. `require_rate` refuses a
- * rate so high that this would take for ever.
+ * h <= the wanted step, and h * rate <= 1.4 down to steps of half a millisecond, so a stiff contact
+ * is cut finer instead of blowing up. Shorter steps need no more than to be stable, h * rate
+ * <= 2.0: what is faster (teeth that meet, a light rim on a soft shaft) follows the rest.
+ * `require_rate` refuses a rate so high that this would take for ever.
  */
 #ifndef OMNISLIP_SIM_INTEGRATOR_H
 #define OMNISLIP_SIM_INTEGRATOR_H
