@@ -161,7 +161,7 @@ def known_of(name, sizes):
 def test_what_the_logs_know_already_counts():
     """Beside the log on which the rival was fitted the same manoeuvre tells more than alone."""
     data, truth = known_of("body_drag", [4.0])
-    best = planning.separating_manoeuvre(MACHINE, data, truth, 0, ["quadratic_body_drag"])
+    best = planning.separating_manoeuvre(MACHINE, data, truth, "body_drag", ["quadratic_body_drag"])
     assert set(best.as_json()) == {
         "name",
         "duration_s",
@@ -172,9 +172,21 @@ def test_what_the_logs_know_already_counts():
     assert best.separation > alone > 0
 
 
+def test_it_is_the_named_effect_that_is_told_from_its_rivals():
+    """Wherever it stands in the model."""
+    data, truth = known_of("body_drag", [4.0])
+    two = truth.with_effect(planning._named(MACHINE, "low_grip"), [0.9])
+    first, last = (
+        planning.separating_manoeuvre(MACHINE, data, final, "body_drag", ["quadratic_body_drag"])
+        for final in (two, two.moved_last(0))
+    )
+    assert first.manoeuvre.name == last.manoeuvre.name
+    assert first.separation == pytest.approx(last.separation, rel=0.02)
+
+
 def test_a_manoeuvre_that_would_tell_no_more_than_a_coin_is_not_worth_driving():
     data, truth = known_of("body_drag", [0.2])
-    best = planning.separating_manoeuvre(MACHINE, data, truth, 0, ["quadratic_body_drag"])
+    best = planning.separating_manoeuvre(MACHINE, data, truth, "body_drag", ["quadratic_body_drag"])
     assert not best.tells
     assert replace(best, separation=planning.LEAST_SEPARATION).tells
 
@@ -183,7 +195,7 @@ def test_a_patch_among_the_rivals_ends_no_search():
     """Nothing is planned against what may be anywhere."""
     data, truth = known_of("low_grip", [0.8])
     rivals = ["body_drag", "slippery_patch"]
-    assert planning.separating_manoeuvre(MACHINE, data, truth, 0, rivals) is None
+    assert planning.separating_manoeuvre(MACHINE, data, truth, "low_grip", rivals) is None
 
 
 # ---- files and words ----

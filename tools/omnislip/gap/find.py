@@ -283,8 +283,9 @@ def find_gap(
     for one in outcome.selected:
         if one.rivals and verdict != "unknown_effect":  # of an unknown one no name is right
             progress(f"looking for a manoeuvre that separates {one.candidate.name} from its rivals")
-            place = [effect.name for effect in final.effects].index(one.candidate.name)
-            best = separating_manoeuvre(machine, outcome.data, final, place, one.rivals)
+            best = separating_manoeuvre(
+                machine, outcome.data, final, one.candidate.name, one.rivals
+            )
             manoeuvres |= {one.candidate.name: best} if best else {}
     return Findings(
         verdict,

@@ -96,8 +96,12 @@ class Hypothesis:
             values[list(parameter.places)] = number
         return values
 
+    def place_of(self, name: str) -> int:
+        """Return the number of the effect of a name."""
+        return [effect.name for effect in self.effects].index(name)
+
     def own(self, index: int) -> slice:
-        """Return where in `x` the parameters of effect number `index` are."""
+        """Return where in `x` the parameters of effect number `index` (-1: the last) are."""
         first = len(self.base) + sum(len(e.parameters) for e in self.effects[:index])
         return slice(first, first + len(self.effects[index].parameters))
 

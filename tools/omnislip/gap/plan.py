@@ -330,10 +330,10 @@ def separating_manoeuvre(
     machine: Machine,
     data: Data,
     final: Hypothesis,
-    index: int,
+    name: str,
     rivals: Sequence[str],
 ) -> Separation | None:
-    """Return the manoeuvre that tells effect `index` of the final model from its rivals.
+    """Return the manoeuvre that tells an effect of the final model from its rivals.
 
     Uses what the logs of `data` say of the rivals. It may tell them no better than a coin. None if
     nothing can be driven: for other machines, against a patch in the floor that may be anywhere, or
@@ -349,8 +349,8 @@ def separating_manoeuvre(
     machine = machine.of(machine.model, holds_commands=False)  # the firmware is fast
     rehearsal = Rehearsal(machine, Limits(), blank, _rate_of(data.runs[0]))
     truth = _model_of(machine, final)
-    without = final.without(index)
-    fitted = [fit_rival(data, without, _named(machine, name)) for name in rivals]
+    without = final.without(final.place_of(name))
+    fitted = [fit_rival(data, without, _named(machine, rival)) for rival in rivals]
     found = []
     try:
         manoeuvres = rehearsal.manoeuvres(truth)

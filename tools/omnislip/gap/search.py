@@ -524,7 +524,7 @@ def _edges_moved(data: Data, current: Fit, start: Hypothesis, wanted: float = np
     for edge in (0, 1, 0, 1):
         start = _edge_moved(data, current, start, edge, everywhere, PATCH_SCALES)
         for near_m in (spacing_m * FINE_PLACES, *steps_m):
-            places_m = start.values_of(len(start.effects) - 1)[edge] + near_m
+            places_m = start.values_of(-1)[edge] + near_m
             start = _edge_moved(data, current, start, edge, places_m)
     return start
 
@@ -534,7 +534,7 @@ def _threshold_moved(data: Data, current: Fit, start: Hypothesis, index: int) ->
     candidate = start.effects[-1]
     low, high = ([getattr(p, end) for p in candidate.parameters] for end in ("low", "high"))
     for factor in THRESHOLD_FACTORS:
-        now = start.values_of(len(start.effects) - 1)
+        now = start.values_of(-1)
         offered = []
         for step in (1.0 / factor, 1.0, factor):
             for scale in SIZE_FACTORS:
@@ -558,7 +558,7 @@ def _edge_moved(
 
     Where no run shows which of some places it is, to the narrowest patch: it claims the least.
     """
-    candidate, now = start.effects[-1], start.values_of(len(start.effects) - 1)
+    candidate, now = start.effects[-1], start.values_of(-1)
     offered = [start]
     for place_m in places_m:
         for scale in (*scales, now[2]):
@@ -568,7 +568,7 @@ def _edge_moved(
             if sizes[0] < sizes[1]:
                 offered.append(current.hypothesis.with_effect(candidate, sizes))
     costs = costs_refitted(data, current, offered)
-    widths = np.array([np.ptp(one.values_of(len(one.effects) - 1)[:2]) for one in offered])
+    widths = np.array([np.ptp(one.values_of(-1)[:2]) for one in offered])
     equal = np.flatnonzero(costs < costs.min() + EQUAL)
     return offered[int(equal[np.argmin(widths[equal])])]
 
@@ -942,8 +942,7 @@ def _extend(machine: Machine, data: Data, fitted: Fit) -> Fit:
                 continue
             one = Screened(0.0, extension, np.array([0.1]), np.array([np.inf]))
             index = len(fitted.hypothesis.effects)
-            place = [e.name for e in fitted.hypothesis.effects].index(effect.name)
-            ordered = fitted.moved_last(place)
+            ordered = fitted.moved_last(fitted.hypothesis.place_of(effect.name))
             [refined] = _refit(data, ordered, [one])
             if weigh(data, ordered, refined, index).p_value < ALPHA:
                 joined = refined.hypothesis.last_two_joined()
@@ -1027,12 +1026,8 @@ def _swap(
     while len(fitted.hypothesis.effects) > 1 and index < len(fitted.hypothesis.effects) - 1:
         effect = fitted.hypothesis.effects[index]
         progress(f"comparing {effect.name} with what could stand in its place")
-        without = fitted.refitted_without(data, index)
-        rivals = _rivals_of(fitted, effect, neighbours)
-        nearest = screen(data, without, rivals)[:RIVALS] if rivals else []
-        judged = weigh(data, without, fitted, index)
-        tried = _refit(data, without, nearest, judged.gain)
-        better = [one for one in tried if _takes_its_place(data, without, effect, judged, one)]
+        own = _compared(data, fitted, index, neighbours)
+        better = [one for one in own.rivals if _takes_its_place(data, effect, own, one)]
         if better:
             best = min(better, key=lambda one: one.objective)
             _may_stand_for(neighbours, best.hypothesis.effects[-1].name, effect)
@@ -1092,13 +1087,11 @@ def _log_posterior(data: Data, fitted: Fit) -> float:
     return float(np.nan_to_num(likelihood - 0.5 * np.sum(prior**2), nan=-np.inf))
 
 
-def _takes_its_place(
-    data: Data, without: Fit, effect: Candidate, judged: Evidence, rival: Fit
-) -> bool:
+def _takes_its_place(data: Data, effect: Candidate, own: "_Compared", rival: Fit) -> bool:
     """Whether a rival explains clearly more than an effect, or loses only what chance gives."""
-    own = len(without.hypothesis.effects)
-    evidence = weigh(data, without, rival, own)
-    candidate, sizes = rival.hypothesis.effects[own], rival.hypothesis.values_of(own)
+    without, judged = own.without, own.evidence
+    evidence = weigh(data, without, rival, len(without.hypothesis.effects))
+    candidate, sizes = rival.hypothesis.effects[-1], rival.hypothesis.values_of(-1)
     lost = judged.gain - evidence.gain
     spared = len(effect.parameters) - len(candidate.parameters)
     as_good = spared > 0 and _no_more_than_chance(lost, judged.inflation, spared)
@@ -1140,12 +1133,18 @@ def _compare_all(
     compared = []
     for index, effect in enumerate(fitted.hypothesis.effects):
         progress(f"comparing {effect.name} with its rivals")
-        without = fitted.refitted_without(data, index)
-        evidence = weigh(data, without, fitted, index)
-        rivals = _rivals_of(fitted, effect, neighbours)
-        nearest = screen(data, without, rivals)[:RIVALS] if rivals else []
-        compared.append(_Compared(without, evidence, _refit(data, without, nearest, evidence.gain)))
+        compared.append(_compared(data, fitted, index, neighbours))
     return compared
+
+
+def _compared(
+    data: Data, fitted: Fit, index: int, neighbours: dict[str, list[Candidate]]
+) -> _Compared:
+    without = fitted.refitted_without(data, index)
+    evidence = weigh(data, without, fitted, index)
+    rivals = _rivals_of(fitted, fitted.hypothesis.effects[index], neighbours)
+    nearest = screen(data, without, rivals)[:RIVALS] if rivals else []
+    return _Compared(without, evidence, _refit(data, without, nearest, evidence.gain))
 
 
 def _likeliest(
@@ -1170,15 +1169,15 @@ def _likeliest(
             for index, one in enumerate(compared)
             for rival, lost in zip(one.rivals, one.lost(final), strict=True)
             if lost < max(RIVAL_MARGIN, NEARLY * one.evidence.beyond_chance)
-            and _last_of(rival)[0].name not in settled
-            and not _within_row(data, *_last_of(rival))
+            and rival.hypothesis.effects[-1].name not in settled
+            and not _within_row(data, rival.hypothesis.effects[-1], rival.hypothesis.values_of(-1))
         ]
         if not near:
             break
         own_likelihood = _log_posterior(*_with_own_noise(data, final))
         likelier = []
         for index, rival, lost in near:
-            effect, name = final.hypothesis.effects[index], _last_of(rival)[0].name
+            effect, name = final.hypothesis.effects[index], rival.hypothesis.effects[-1].name
             progress(f"comparing {effect.name} and {name}, each by its own noise")
             try:
                 own = _with_own_noise(data, rival)
@@ -1208,7 +1207,7 @@ def _with_own_noise(data: Data, fitted: Fit) -> tuple[Data, Fit]:
 
 def _helps_unseen(data: Data, fitted: Fit, name: str) -> bool:
     """Whether an effect of the model helps runs that were not fitted."""
-    place = [effect.name for effect in fitted.hypothesis.effects].index(name)
+    place = fitted.hypothesis.place_of(name)
     [check] = check_unseen(data, fitted.refitted_without(data, place), [fitted.moved_last(place)])
     return check.helps
 
@@ -1217,12 +1216,6 @@ def _may_stand_for(neighbours: dict[str, list[Candidate]], name: str, effect: Ca
     """Note that an effect which gave way to another may stand in its place."""
     others = [c for c in neighbours.get(effect.name, []) if c.name != effect.name]
     neighbours[name] = [effect, *others]
-
-
-def _last_of(fitted: Fit) -> tuple[Candidate, Array]:
-    """Return the last effect of a model and its sizes."""
-    hypothesis = fitted.hypothesis
-    return hypothesis.effects[-1], hypothesis.values_of(len(hypothesis.effects) - 1)
 
 
 def _select(data: Data, final: Fit, compared: Sequence[_Compared]) -> tuple[Selected, ...]:
@@ -1235,9 +1228,8 @@ def _select(data: Data, final: Fit, compared: Sequence[_Compared]) -> tuple[Sele
     pairs = zip(final.hypothesis.effects, compared, strict=True)
     for index, (effect, one) in enumerate(pairs):
         close = [lost < max(RIVAL_MARGIN, data.feigned_gain) for lost in one.lost(final)]
-        equals = [
-            _last_of(rival)[0].name for rival, near in zip(one.rivals, close, strict=True) if near
-        ]
+        names = [rival.hypothesis.effects[-1].name for rival in one.rivals]
+        equals = [name for name, near in zip(names, close, strict=True) if near]
         losers = [rival for rival, near in zip(one.rivals, close, strict=True) if not near]
         values = final.hypothesis.values_of(index).copy()
         for i, p in enumerate(effect.parameters):
@@ -1283,7 +1275,7 @@ def _profile_end(
     The other effects are moved by one linear step. Steps double; the last is cut into eighths.
     """
     shared, moved = final.sharing(index), final.hypothesis.moved_last(index)
-    effect, sizes = moved.effects[-1], moved.values_of(len(moved.effects) - 1)
+    effect, sizes = moved.effects[-1], moved.values_of(-1)
 
     def furthest(values: Array) -> int:
         offered = [shared.hypothesis.with_effect(effect, sizes)]
