@@ -181,7 +181,7 @@ def test_it_is_the_named_effect_that_is_told_from_its_rivals():
         for final in (two, two.moved_last(0))
     )
     assert first.manoeuvre.name == last.manoeuvre.name
-    assert first.separation == pytest.approx(last.separation, rel=0.02)
+    assert first.separation == pytest.approx(last.separation, rel=1e-6)
 
 
 def test_a_manoeuvre_that_would_tell_no_more_than_a_coin_is_not_worth_driving():

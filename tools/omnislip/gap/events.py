@@ -40,11 +40,10 @@ LEAST_RATIO = 60.0
 OVER_LEVEL = 12.0
 """Factor by which g must exceed the 80th percentile of its run (4.6 where nothing is wrong)."""
 EXPLAINED, HARD_EXPLAINED, HARD_M_S = 0.3, 0.15, 0.25
-"""Share of the squared innovations of the horizon that the jump must take away; the second is enough
-from so many m/s on, for after a hard push wheels slide, and the linear response is far off (0.35 for
-a push of 0.32 m/s, less than 0.3 for one of 0.54). For light ones it would let through what an
-unknown effect does.
-"""
+"""Share of the squared innovations of the horizon that the jump must take away; the second is
+enough from so many m/s on, for after a hard push wheels slide, and the linear response is far off
+(0.35 for a push of 0.32 m/s, less than 0.3 for one of 0.54). For light ones it would let through
+what an unknown effect does."""
 REPLAYED = 0.8
 """The same share of the plant's own replay: pushes of 0.06 to 0.5 m/s explained 0.96 and more of
 it, what wheels that break loose in violent driving feign 0.5 to 0.77."""
