@@ -129,7 +129,7 @@ class AxisPlant {
         const S none = S(0.0);
         const S slope =
             (friction(still, none, none, none) - friction(moving, none, none, none)) / moving[0];
-        const S rate = (slope + back_emf_) / inertia_ + gear_.rate_1_s();
+        const S rate = gear_.rate_1_s(back_emf_ / inertia_, slope / inertia_);
         double worst = 0.0;
         for (int i = 0; i < LaneCount<S>::value; ++i)
             worst = std::max(worst, lane(rate, i));

@@ -661,6 +661,7 @@ void limit_engine_threads(int count) {
 void bind_replay(nb::module_ &m) {
     m.def("limit_threads", &limit_engine_threads, "count"_a,
           "Engines of this process start at most so many threads; without it one per core.");
+    m.def("most_threads", &thread_limit, "How many threads these are.");
     nb::class_<Recording>(m, "Recording")
         .def_prop_ro("rows", [](const Recording &r) { return r.rows; })
         .def("rising", &rising, "rise"_a,

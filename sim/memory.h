@@ -138,15 +138,35 @@ class SoftGear {
         return select(soft, sprung + sign_of(gear) * half_play_, S(0.0));
     }
 
-    /* Bound on the rate that the gear adds, and factor by which it makes the wheel side lighter. */
-    S rate_1_s() const {
+    /* Fastest rate of a shaft, given those at which what damps its motor and what damps its wheel
+     * would slow it down if the gear were stiff. With a soft one they slow down each side alone, m
+     * and w = rates over inertia shares, and closed teeth (k and c over the reduced inertia) have
+     *
+     *   0 = z^3 + a z^2 + b z + q,   a = c + m + w,   b = k + m w + c q / k,
+     *                                q = k (p w + (1 - p) m)
+     *
+     * whose roots lie in the left half plane, a real one between -a and 0. */
+    S rate_1_s(const S &motor_1_s, const S &wheel_1_s) const {
         using std::max;
         using std::sqrt;
-        const S fastest = max(sqrt(stiffness_ / reduced_), damping_ / reduced_);
-        return select(stiffness_ > S(0.0), fastest, S(0.0));
-    }
-    S lightening() const {
-        return select(stiffness_ > S(0.0), S(1.0) / load_share_, S(1.0));
+        const S stiffness = stiffness_ / reduced_, damping = damping_ / reduced_;
+        const S motor = motor_1_s / (S(1.0) - load_share_), wheel = wheel_1_s / load_share_;
+        const S shared = load_share_ * wheel + (S(1.0) - load_share_) * motor;
+        const S a = damping + motor + wheel, b = stiffness + motor * wheel + damping * shared;
+        S low = -a, high = S(0.0);
+        for (int halving = 0; halving < 40; ++halving) {
+            const S z = S(0.5) * (low + high);
+            const auto below = ((z + a) * z + b) * z + stiffness * shared < S(0.0);
+            low = select(below, z, low);
+            high = select(below, high, z);
+        }
+        /* The other two, z^2 + sum z + product = 0. */
+        const S sum = a + low, product = b + low * sum;
+        const S square = S(0.25) * sum * sum - product;
+        const S others = select(square > S(0.0), S(0.5) * sum + sqrt(max(square, S(0.0))),
+                                sqrt(max(product, S(0.0))));
+        const S fastest = max(max(-low, others), max(motor, wheel));
+        return select(stiffness_ > S(0.0), fastest, motor_1_s + wheel_1_s);
     }
 
   private:

@@ -240,6 +240,10 @@ void limit_threads(int count) {
     most_threads = count;
 }
 
+int thread_limit() {
+    return most_threads;
+}
+
 std::vector<Track> track_all(const Kernel &kernel, const std::vector<const Recording *> &recordings,
                              const double *values, const Noise &noise, double step_s,
                              double window_s, bool keep_linear) {

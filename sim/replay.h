@@ -155,6 +155,7 @@ Track track(const Kernel &kernel, const Recording &recording, const double *valu
 
 /* The functions below start at most `count` >= 1 threads from now on; without it one per core. */
 void limit_threads(int count);
+int thread_limit();
 
 /* One filter per recording, on all cores. */
 std::vector<Track> track_all(const Kernel &kernel, const std::vector<const Recording *> &recordings,

@@ -216,14 +216,16 @@ class RobotPlant : public RobotLayout {
         for (int i = 0; i < 4; ++i) {
             const S damping = static_load_n_[i] * c_.mu_drive[i] * stiffness;
             const S ratio = c_.wheel_radius_m[i] / c_.gear_ratio;
-            const S shaft =
-                damping * ratio * ratio * gear_[i].lightening() +
+            const S motor =
                 c_.torque_constant_nm_a[i] * c_.back_emf_constant_v_s_rad[i] / c_.resistance_ohm +
                 c_.viscous_friction_nm_s[i] + shaft_damping_[i];
+            const S per_inertia = S(1.0) / c_.shaft_inertia_kg_m2[i];
             const S &lever = c_.wheel_distance_m;
             const S body =
                 S(4.0) * damping * max(S(1.0) / c_.mass_kg, lever * lever / c_.inertia_kg_m2);
-            rate = max(rate, shaft / c_.shaft_inertia_kg_m2[i] + body + gear_[i].rate_1_s());
+            const S shaft =
+                gear_[i].rate_1_s(motor * per_inertia, damping * ratio * ratio * per_inertia);
+            rate = max(rate, shaft + body);
         }
         double worst = 0.0;
         for (int i = 0; i < LaneCount<S>::value; ++i)

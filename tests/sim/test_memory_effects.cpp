@@ -252,6 +252,60 @@ static void motor_is_alone_inside_of_the_play(void) {
 }
 
 /* Both sides together have the momentum that the motor was given. */
+/* The spectral radius of the shaft's equations as what their powers grow by. */
+static double growth(double stiffness, double damping, double motor_1_s, double wheel_1_s,
+                     double share) {
+    const double motor = 1.0 - share; /* inertias of both sides, together 1 */
+    double a[3][3] = {{-(damping + motor_1_s) / motor, damping / motor, -stiffness / motor},
+                      {damping / share, -(damping + wheel_1_s) / share, stiffness / share},
+                      {1.0, -1.0, 0.0}};
+    double logarithm = 0.0, power = 1.0;
+    for (int squared = 0; squared < 20; ++squared) {
+        double product[3][3] = {}, size = 0.0;
+        for (int i = 0; i < 3; ++i) {
+            for (int j = 0; j < 3; ++j) {
+                for (int k = 0; k < 3; ++k)
+                    product[i][j] += a[i][k] * a[k][j];
+                size = std::max(size, std::abs(product[i][j]));
+            }
+        }
+        for (int i = 0; i < 3; ++i) {
+            for (int j = 0; j < 3; ++j)
+                a[i][j] = product[i][j] / size;
+        }
+        power *= 2.0;
+        logarithm += std::log(size) / power;
+    }
+    return std::exp(logarithm);
+}
+
+/* Ringing, dead-beat and bridged springs, weak and strong brakes on either side. */
+static void rate_of_a_soft_gear_is_its_fastest_eigenvalue(void) {
+    for (double share : {0.05, 0.2, 0.5, 0.9}) {
+        for (double stiffness : {1e2, 1e4, 1e6}) {
+            for (double ratio : {0.0, 0.3, 1.0, 4.0}) {
+                for (double motor_1_s : {0.0, 7.0, 300.0}) {
+                    for (double wheel_1_s : {0.0, 40.0, 2000.0}) {
+                        const double reduced = share * (1.0 - share);
+                        const double damping = 2.0 * ratio * std::sqrt(stiffness * reduced);
+                        SoftGear<double> gear;
+                        gear.prepare(0.0, stiffness, damping, share, 1.0);
+                        const double closed =
+                            growth(stiffness, damping, motor_1_s, wheel_1_s, share);
+                        const double apart = std::max(motor_1_s / (1.0 - share), wheel_1_s / share);
+                        const double fastest = std::max(closed, apart);
+                        TEST_ASSERT_DOUBLE_WITHIN(1e-3 * fastest, fastest,
+                                                  gear.rate_1_s(motor_1_s, wheel_1_s));
+                    }
+                }
+            }
+        }
+    }
+    SoftGear<double> stiff;
+    stiff.prepare(0.0, kUnbounded, 0.0, kLoadShare, 1.0);
+    TEST_ASSERT_EQUAL_DOUBLE(47.0, stiff.rate_1_s(7.0, 40.0));
+}
+
 static void play_keeps_the_momentum(void) {
     Axis axis(free_axis().effect("gear_backlash", "angle_rad", 0.01));
     axis.drive({1.0}, 0.2);
@@ -434,6 +488,7 @@ int main(void) {
     RUN_TEST(damper_takes_the_energy_out_of_the_twist);
     RUN_TEST(lost_motion_of_a_reversal_is_the_play);
     RUN_TEST(motor_is_alone_inside_of_the_play);
+    RUN_TEST(rate_of_a_soft_gear_is_its_fastest_eigenvalue);
     RUN_TEST(play_keeps_the_momentum);
     RUN_TEST(motor_of_a_soft_axis_rings_about_the_rigid_motion);
     RUN_TEST(damped_twist_of_an_axis_decays);
