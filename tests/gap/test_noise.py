@@ -8,11 +8,14 @@ from axis_bench import Bench, make_machine, make_runs
 from omnislip.gap.inference import Data
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import (
+    CONVERGED,
     NOISES,
+    PULL,
     SENSOR_MARGIN,
     STEP_S,
     Noise,
     RunawayError,
+    track_all,
     track_recordings,
     tune_noise,
 )
@@ -255,6 +258,40 @@ def test_a_wrong_model_is_not_blamed_on_the_sensors():
     assert np.all(np.isfinite(guess.high[sensors]))
     # Second differences are those of the sensors, so the margin is one of their own noise.
     assert np.sqrt(found.output[5]) < 2.5e-3 * np.exp(SENSOR_MARGIN / 2) * 2.0
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {},
+        {"robot.mass_kg": 40.0},
+        {"contact.mu_drive": 0.3},
+        {"contact.slip_stiffness_s_m": 10.0},
+    ],
+)
+def test_no_variance_of_a_fit_could_still_gain_much(wrong):
+    """Also beside a wrong model: what rests on a bound does not hold the others back.
+
+    Each logarithm moved by half within its bounds, others kept: the likelihood of the filter.
+    """
+    model = read_model(NOMINAL_ROBOT)
+    machine = Machine(replace(model, values=model.values | wrong))
+    case = TruthCase(5, runs=3, run_duration_s=4.0, sensors=("gyro", "pose"))
+    runs = runs_of(machine, case)
+    make, start_of = NOISES["robot"]
+    guess = start_of(runs)
+    found = tune_noise(machine, runs, machine.believed).logs
+
+    def likelihood(logs):
+        noise = make(machine, logs)
+        tracks = track_all(machine, runs, machine.believed, noise)
+        pull = PULL / 2 * np.sum((logs - guess.logs) ** 2)
+        return sum(track.log_likelihood for track in tracks) - pull
+
+    best = likelihood(found)
+    for step in np.vstack([0.5 * np.eye(len(found)), -0.5 * np.eye(len(found))]):
+        moved = np.clip(found + step, guess.low, guess.high)
+        assert likelihood(moved) < best + 2 * CONVERGED
 
 
 @pytest.mark.parametrize(("sensor", "output"), [("gyro", 4), ("pose", 5)])

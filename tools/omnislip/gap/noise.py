@@ -199,14 +199,19 @@ class _Path:
 
     def climb(self, logs: Array) -> tuple[float, Array]:
         """Return the gain of the log-likelihood and the logarithms at its maximum."""
+        low, high = self._guess.low, self._guess.high
         damping, whole = 1.0, 0.0
         for _ in range(ROUNDS):
             here, slope, information = self._score(logs)
+            # What rests on a bound does not move: others must not step as if it did.
+            free = np.where(slope < 0, logs > low, logs < high)
+            slope, information = slope[free], information[np.ix_(free, free)]
             trials = []
             for k in range(TRIALS):
                 damped = information + damping * 5.0**k * np.diag(np.diag(information))
-                step = np.clip(np.linalg.solve(damped, slope), -2.0, 2.0)
-                trials.append(np.clip(logs + step, self._guess.low, self._guess.high))
+                trial = logs.copy()
+                trial[free] += np.clip(np.linalg.solve(damped, slope), -2.0, 2.0)
+                trials.append(np.clip(trial, low, high))
             totals, _ = self._look(np.array(trials))
             best = int(np.argmax(totals))
             gained = float(totals[best]) - here
@@ -325,13 +330,13 @@ def _robot_start(runs: Sequence[Run]) -> Guess:
     places = [3, 4, 5, *range(12, len(logs))]
     low[places] = np.minimum(quiet, moving) - SENSOR_MARGIN
     high[places] = moving + SENSOR_MARGIN
+    low[11], high[11] = np.log(COLOUR_RATES_1_S)
     return Guess(logs, low, high)
 
 
 def _robot_noise(machine: Machine, logs: Array) -> Noise:
     shaft, body, yaw, gyro, place, heading, timing, share, *rest = np.exp(logs)
     lasting_shaft, lasting_body, lasting_yaw, rate, *electric = rest
-    rate = float(np.clip(rate, *COLOUR_RATES_1_S))
     coloured = np.repeat([lasting_shaft, lasting_body, lasting_yaw], [4, 2, 1])
     process = np.zeros(14)
     process[SHAFT], process[BODY], process[YAW] = shaft, body, yaw
@@ -354,7 +359,7 @@ def _robot_noise(machine: Machine, logs: Array) -> Noise:
         logs,
         unresolved_current,
         coloured,
-        rate,
+        float(rate),
     )
 
 
