@@ -216,7 +216,8 @@ def find_gap(
     if holds_commands(machine, known.fitting, first.flat(machine.believed), noise):
         machine = machine.of(model, holds_commands=True)
         told.append(HELD_COMMANDS)
-        noise, first = first_model(machine, [run.held_in_rows() for run in known.fitting])
+        held = [run.held_in_rows() for run in known.fitting]
+        noise, first = first_model(machine, held, (noise, first))
     runs = [run for log in logs for run in usable_runs(machine, log, cuts)]
     impacts = find_impacts(machine, runs, first.flat(machine.believed), noise)
     for left in reversed(range(3)):  # again where a push shows only beside the final model

@@ -63,6 +63,9 @@ without an effect that is there, nobody asks how far to a hundredth."""
 LEAST_INFORMATION = 1e-6
 FEW_BLOCKS = 3
 """Blocks that make an inflation, up to which they may be left out."""
+ROUGH = 0.1
+"""Share of what a step promises below which its gain is no way further: where teeth meet or wheels
+break loose a moment sooner or later, Q is rough, and its derivative is not its course."""
 WORTH_A_ROUND = 2.0
 """Gain of Q below which a quick fit ends."""
 MOST_ERROR = 8.0
@@ -372,23 +375,33 @@ class Data:
         residuals = np.empty((len(sets), edges[-1]))
         for owner in range(sets.shape[1]):
             runs = np.flatnonzero(owners == owner)
+            order = self._alike(sets[:, owner])
             for first in range(0, len(sets), BATCH):
-                batch = np.ascontiguousarray(sets[first : first + BATCH, owner])
+                batch = order[first : first + BATCH]
                 arrays = self.machine.engine.innovations(
                     [recordings[k] for k in runs],
                     [self.tracks[k] for k in runs],
-                    batch,
+                    np.ascontiguousarray(sets[batch, owner]),
                     step_s=STEP_S,
                     least_rate_1_s=self._least_rate_1_s,
                 )
                 for run, array in zip(runs, arrays, strict=True):
-                    own = array[:, int(np.argmax(self._kept[run])) :].reshape(len(batch), -1)
-                    residuals[first : first + len(batch), edges[run] : edges[run + 1]] = own
+                    kept = array[:, int(np.argmax(self._kept[run])) :]
+                    residuals[batch, edges[run] : edges[run + 1]] = kept.reshape(len(batch), -1)
         most = DIVERGED * self.scale
         if not max(residuals.max(), -residuals.min()) < most:  # not so with NaN either
             np.nan_to_num(residuals, copy=False, nan=most)
             np.clip(residuals, -most, most, out=residuals)
         return residuals
+
+    def _alike(self, sets: Array) -> npt.NDArray[np.int64]:
+        """Order of sets (sets, parameters) in which neighbours need steps of nearly one length.
+
+        The engine follows sets in groups by the shortest steps of any: one stiff gear would slow
+        down a group, and steps that differ between a model and its neighbours are no derivative.
+        """
+        rates = [self.machine.engine.fastest_rate_1_s(values) for values in sets]
+        return np.argsort(np.maximum(rates, self._least_rate_1_s), kind="stable")
 
     def _kept_only(self, columns: Array) -> Array:
         """Rows that count of columns (all rows * outputs, n); 0 where these diverge."""
@@ -535,7 +548,7 @@ def fit(data: Data, hypothesis: Hypothesis, iterations: int = 10, last: Array | 
         if gained > 0:
             current, best, residual = trials[pick], costs[pick], found[pick]
         kept = gained < NEAR_THE_END and abs(gained - promised) < CONVERGED
-        if fine and (kept or gained < converged):
+        if fine and (kept or gained < max(converged, ROUGH * promised)):
             break  # so near that the derivative is still that of the optimum
         first = 0 if gained >= converged else len(current.base)
         _, [own] = linearise(data, [current], first, [residual], [jacobian[:, first:]])

@@ -31,6 +31,7 @@ from omnislip.gap.inference import (
     Evidence,
     Fit,
     Hypothesis,
+    at_bound,
     check_unseen,
     costs_refitted,
     fit,
@@ -48,6 +49,7 @@ from omnislip.gap.machine import CURVE, PHASE, WHOLE, Candidate, Machine
 from omnislip.gap.metrics import improvement, replay_all
 from omnislip.gap.noise import Noise, RunawayError, track_all, tune_noise
 from omnislip.gap.recordings import Run
+from omnislip.gap.side_by_side import side_by_side
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[str], None]
@@ -83,9 +85,10 @@ AHEAD_GAIN = 50.0
 is worth looking one step ahead, and none is needless: another one that is missing blurs it."""
 BEAM, BEAM_REFITS = 3, 6
 RESAMPLES, LEAST_UNITS_TO_RESAMPLE = 1000, 4
-MOST_TUNINGS, AHEAD_TUNINGS, SETTLED = 6, 3, 1.0
+MOST_TUNINGS, AHEAD_TUNINGS, LEAST_TUNINGS, SETTLED = 6, 3, 2, 1.0
 """Times that noise and model are fitted in turn, at most; the same to look one step ahead, for what
-passes settles again; and change of Q by what the fit moved that ends it."""
+passes settles again; times after which a fit that moves further than the one before ends it (a
+rough Q has many minima); and change of Q by what the fit moved that ends it."""
 PATCH_SCALES, PATCH_SHARE = (0.3, 0.5, 0.7, 0.9), 0.2
 """Grips of a patch to try; share of the best promise from which its edges are looked for: those of
 the screen are coarse, but explain more than a fifth of what the right ones do."""
@@ -267,16 +270,19 @@ def believed_hypothesis(machine: Machine) -> Hypothesis:
     return Hypothesis(base, (), np.array([machine.believed[p.places[0]] for p in base]))
 
 
-def first_model(machine: Machine, runs: Sequence[Run]) -> tuple[Noise, Hypothesis]:
+def first_model(
+    machine: Machine, runs: Sequence[Run], like: tuple[Noise, Hypothesis] | None = None
+) -> tuple[Noise, Hypothesis]:
     """Return noise and fit of a model that is near enough to see pushes beside it.
 
     The believed keys within their tolerance and a free friction curve: what is off in most robots.
+    `like`: those of nearly the same runs, to start from.
     """
-    start = believed_hypothesis(machine)
-    curve = [c for c in machine.candidates() if c.effect == CURVE]
-    for candidate in curve:
-        start = start.with_effect(candidate, [0.1])
-    data, fitted = settle(machine, runs, start)
+    noise, start = like or (None, believed_hypothesis(machine))
+    if like is None:
+        for candidate in [c for c in machine.candidates() if c.effect == CURVE]:
+            start = start.with_effect(candidate, [0.1])
+    data, fitted = settle(machine, runs, start, noise)
     return data.noise, fitted.hypothesis
 
 
@@ -293,9 +299,9 @@ def settle(
     Noise that was tuned for keys which are off gives others that are off in another way. `last`: as
     `fit` has it.
     """
-    hypothesis = start
+    hypothesis, before = start, np.inf
     scale = np.array([p.scale for p in start.parameters])
-    for _ in range(tunings):
+    for tuning in range(tunings):
         values = hypothesis.flat(machine.believed)
         noise = tune_noise(machine, runs, values, noise, paths=1)
         data = Data(machine, runs, noise, hypothesis)
@@ -303,8 +309,10 @@ def settle(
         last = fitted.jacobian
         moved = (fitted.hypothesis.x - hypothesis.x) / scale
         hypothesis = fitted.hypothesis
-        if moved @ fitted.information @ moved < SETTLED:
+        way = float(moved @ fitted.information @ moved)
+        if way < SETTLED or (way > before and tuning >= LEAST_TUNINGS):
             break
+        before = way
     return data, fitted
 
 
@@ -486,19 +494,20 @@ def _refit(
     starts = [
         own[int(np.argmin(c))] for own, c in zip(offered, np.split(costs, edges), strict=True)
     ]
-    hopeful = PATCH_SHARE * max(one.promise for one in screened)
+    hoped = PATCH_SHARE * max(one.promise for one in screened)
     wanted = current.objective - NEAR_BY_PLACES * (current.objective - float(costs.min()))
     starts = [
-        _edges_moved(data, current, start, wanted) if one.promise >= hopeful else start
+        _edges_moved(data, current, start, wanted) if one.promise >= hoped else start
         for one, start in zip(screened, starts, strict=True)
     ]
     fits = fit_more(data, current, starts)
     order = np.argsort([one.objective for one in fits])
     best = current.objective - fits[order[0]].objective
     least = max(NEAR * best, NEAR_TO_FULL * asked)
-    for k in order[:FULL_REFITS]:
-        if current.objective - fits[k].objective > least:
-            fits[k] = fit(data, fits[k].hypothesis, last=fits[k].jacobian)
+    hopeful = [k for k in order[:FULL_REFITS] if current.objective - fits[k].objective > least]
+    whole = side_by_side(lambda k: fit(data, fits[k].hypothesis, last=fits[k].jacobian), hopeful)
+    for k, one in zip(hopeful, whole, strict=True):
+        fits[k] = one
     return fits
 
 
@@ -677,6 +686,7 @@ class _Ahead:
         """Return the best model with one of `refused`, or with one of them and a second effect.
 
         What only promised much is judged alone: among pairs of such chance has too much choice.
+        Pairs with a weaker first effect are tried only where none with a stronger one passes.
         """
         clear = [pair for pair in refused if pair[0].evidence.beyond_chance > AHEAD_GAIN]
         clear = sorted(clear, key=lambda pair: pair[1].objective)[:BEAM]
@@ -685,13 +695,14 @@ class _Ahead:
             rest.pop(trial.candidate.name, None)
         promised = [s.candidate.name for s in screened if s.promise > SURE_GAIN]
         covered = [rest[name] for name in promised if name in rest][:BEAM]
-        firsts, others = (
-            [self._by_its_noise(trial.candidate, fitted.hypothesis) for trial, fitted in some]
-            for some in (clear, covered)
+        judged = side_by_side(
+            lambda pair: self._by_its_noise(pair[0].candidate, pair[1].hypothesis), clear + covered
         )
-        passed = [first for first in (*firsts, *others) if first.trial.accepted]
-        if not passed and len(self._current.hypothesis.effects) + 2 <= MOST_EFFECTS:
-            passed = [pair for first in firsts for pair in self._pairs(first)]
+        self.trials += [one.trial for one in judged]
+        passed = [one for one in judged if one.trial.accepted]
+        if len(self._current.hypothesis.effects) + 2 <= MOST_EFFECTS:
+            for first in judged[: len(clear)]:
+                passed = passed or self._pairs(first)
         best = max(passed, key=_Further.gain, default=None)
         self.trials = [
             replace(trial, accepted=best is not None and trial is best.trial)
@@ -733,6 +744,7 @@ class _Ahead:
         if best < nearest:
             return None
         first = self._by_its_noise(candidate, delayed(best))
+        self.trials.append(first.trial)
         [delay_s] = first.fitted.hypothesis.values_of(len(current.effects))
         return first if first.trial.accepted and delay_s >= nearest * row_s else None
 
@@ -754,7 +766,6 @@ class _Ahead:
             self._tried,
         )
         trial = replace(trial, reason=f"by the noise that is left beside it: {trial.reason}")
-        self.trials.append(trial)
         return _Further(data, without, first, trial)
 
     def _pairs(self, first: _Further) -> list[_Further]:
@@ -771,16 +782,21 @@ class _Ahead:
         tried = self._tried * BEAM
         found = _try(data, first.fitted, worth, self._step, tried, self._progress)
         found.sort(key=lambda pair: -pair[0].evidence.beyond_chance)
-        pairs = []
-        for place, (trial, fitted) in enumerate(found):
-            trial = replace(trial, reason=f"beside {name}: {trial.reason}")
-            if place < BEAM:
-                both = _patch_again(data, fit(data, fitted.hypothesis))
-                if _both_pass(data, first.without, both, tried):
-                    trial = replace(trial, reason=f"{name} and this pass together")
-                    pairs.append(_Further(data, first.without, both, trial))
-            self.trials.append(trial)
-        return pairs
+
+        def judge(pair: tuple[Trial, Fit]) -> _Further:
+            both = _patch_again(data, fit(data, pair[1].hypothesis))
+            passes = _both_pass(data, first.without, both, tried)
+            reason = f"{name} and this pass together" if passes else beside(pair[0]).reason
+            trial = replace(pair[0], reason=reason, accepted=passes)
+            return _Further(data, first.without, both, trial)
+
+        def beside(trial: Trial) -> Trial:
+            return replace(trial, reason=f"beside {name}: {trial.reason}", accepted=False)
+
+        judged = side_by_side(judge, found[:BEAM])
+        self.trials += [one.trial for one in judged]
+        self.trials += [beside(trial) for trial, _ in found[BEAM:]]
+        return [one for one in judged if one.trial.accepted]
 
 
 def _both_pass(data: Data, without: Fit, both: Fit, tried: int) -> bool:
@@ -934,7 +950,11 @@ def _differs(candidate: Candidate, sizes: Array, evidence: Evidence) -> bool:
 
 
 def _extend(machine: Machine, data: Data, fitted: Fit) -> Fit:
-    """Refine the effects of the model where that gains more than chance."""
+    """Refine the effects of the model where that gains more than chance.
+
+    By the refinement, not by what the rest of the fit still had to gain. One that goes as far as it
+    may describes something else that is missing.
+    """
     for effect in list(fitted.hypothesis.effects):
         have = {p.label for p in effect.parameters}
         for extension in machine.extensions(effect.effect):
@@ -944,7 +964,11 @@ def _extend(machine: Machine, data: Data, fitted: Fit) -> Fit:
             index = len(fitted.hypothesis.effects)
             ordered = fitted.moved_last(fitted.hypothesis.place_of(effect.name))
             [refined] = _refit(data, ordered, [one])
-            if weigh(data, ordered, refined, index).p_value < ALPHA:
+            evidence = weigh(data, ordered, refined, index)
+            absent = _neutral(data, ordered.hypothesis, extension)
+            differs = _differs(extension, refined.hypothesis.values_of(-1) - absent, evidence)
+            bound = at_bound(refined, len(refined.hypothesis.x) - 1)
+            if evidence.p_value < ALPHA and differs and not bound:
                 joined = refined.hypothesis.last_two_joined()
                 fitted = replace(refined, hypothesis=joined)
     return fitted
@@ -997,9 +1021,10 @@ def _drop_needless(data: Data, fitted: Fit, tried: int) -> Fit:
     missing does that.
     """
     while fitted.hypothesis.effects:
-        without = [
-            fitted.refitted_without(data, index) for index in range(len(fitted.hypothesis.effects))
-        ]
+        without = side_by_side(
+            lambda index, whole=fitted: whole.refitted_without(data, index),
+            range(len(fitted.hypothesis.effects)),
+        )
         judged = [weigh(data, w, fitted, index) for index, w in enumerate(without)]
         needless = [
             index
@@ -1130,11 +1155,12 @@ def _compare_all(
     data: Data, fitted: Fit, neighbours: dict[str, list[Candidate]], progress: Progress
 ) -> list[_Compared]:
     """Compare every effect of the model with its nearest rivals."""
-    compared = []
-    for index, effect in enumerate(fitted.hypothesis.effects):
+    effects = fitted.hypothesis.effects
+    for effect in effects:
         progress(f"comparing {effect.name} with its rivals")
-        compared.append(_compared(data, fitted, index, neighbours))
-    return compared
+    return side_by_side(
+        lambda index: _compared(data, fitted, index, neighbours), range(len(effects))
+    )
 
 
 def _compared(
