@@ -251,7 +251,6 @@ static void motor_is_alone_inside_of_the_play(void) {
     TEST_ASSERT_DOUBLE_WITHIN(1e-12, axis.x[1], axis.all[AxisPlant<double>::kTwist]);
 }
 
-/* Both sides together have the momentum that the motor was given. */
 /* The spectral radius of the shaft's equations as what their powers grow by. */
 static double growth(double stiffness, double damping, double motor_1_s, double wheel_1_s,
                      double share) {
@@ -306,6 +305,7 @@ static void rate_of_a_soft_gear_is_its_fastest_eigenvalue(void) {
     TEST_ASSERT_EQUAL_DOUBLE(47.0, stiff.rate_1_s(7.0, 40.0));
 }
 
+/* Both sides together have the momentum that the motor was given. */
 static void play_keeps_the_momentum(void) {
     Axis axis(free_axis().effect("gear_backlash", "angle_rad", 0.01));
     axis.drive({1.0}, 0.2);

@@ -549,7 +549,7 @@ def fit(data: Data, hypothesis: Hypothesis, iterations: int = 10, last: Array | 
             current, best, residual = trials[pick], costs[pick], found[pick]
         kept = gained < NEAR_THE_END and abs(gained - promised) < CONVERGED
         if fine and (kept or gained < max(converged, ROUGH * promised)):
-            break  # so near that the derivative is still that of the optimum
+            break  # so near that the derivative is still that of the optimum, or rough
         first = 0 if gained >= converged else len(current.base)
         _, [own] = linearise(data, [current], first, [residual], [jacobian[:, first:]])
         jacobian, fine = np.hstack([jacobian[:, :first], own]), True
