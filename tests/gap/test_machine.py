@@ -149,6 +149,13 @@ def test_keys_move_by_two_tolerances_and_exact_ones_not_at_all():
     assert "encoder.counts_per_rev" not in base
 
 
+def test_an_exact_key_moves_where_its_tolerance_is_given():
+    tolerance = ROBOT.model.tolerance | {"motor.gear_ratio": 0.01}
+    machine = Machine(dataclasses.replace(ROBOT.model, tolerance=tolerance))
+    [gear] = [p for p in machine.base_parameters() if p.label == "motor.gear_ratio"]
+    assert (gear.low, gear.high) == pytest.approx((12.0 * 0.98, 12.0 * 1.02))
+
+
 def test_a_key_of_tolerance_zero_is_exact(tmp_path):
     assert make_machine(tmp_path, tolerance=0.0).base_parameters() == []
 

@@ -16,6 +16,7 @@ from omnislip.model_file import (
     ADDED_TO,
     ANGLES,
     COUNT,
+    NEVER_FITTED,
     NOMINAL_ROBOT,
     ODOMETRY_KEYS,
     ROBOT_KEYS,
@@ -140,6 +141,11 @@ MISTAKES = {
     "bad model key": ("[robot]", "[model]\nkindd = 1\n[robot]", ["kindd", "'kind'"]),
     "unknown tolerance": ("default = 0.02", '"robot.mass" = 0.1', ["tolerance", "robot.mass_kg"]),
     "negative tolerance": ("default = 0.02", "default = -1", ["tolerance.default", "0 or more"]),
+    "tolerance of angles": (
+        "default = 0.02",
+        '"robot.wheel_angles_deg" = 0.01',
+        ["tolerance.robot.wheel_angles_deg", "0 or left out"],
+    ),
     "bad syntax": ("mass_kg = 20.0", "mass_kg = = 20.0", ["not valid TOML", "line 6"]),
     "key given twice": ("mass_kg = 20.0", "mass_kg = 1\nmass_kg = 2", ["not valid TOML", "line 7"]),
     "table as value": ("[robot]", "motor = 1\n[robot]", ["not valid TOML"]),
@@ -326,9 +332,9 @@ def models(kind: str, values: st.SearchStrategy) -> st.SearchStrategy:
             Model,
             st.just(kind),
             st.just(drawn),
-            st.dictionaries(st.sampled_from(sorted(drawn)), st.floats(0, 1)).map(
-                lambda tolerance: {"default": 0.02} | tolerance
-            ),
+            st.dictionaries(
+                st.sampled_from(sorted(drawn.keys() - NEVER_FITTED)), st.floats(0, 1)
+            ).map(lambda tolerance: {"default": 0.02} | tolerance),
             effects_of(kind, axis_names(drawn)),
             st.text(),
         )

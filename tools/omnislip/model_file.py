@@ -12,9 +12,10 @@
               x sin b - y cos b
 
 [tolerance] gives the relative standard deviation of each believed value: `default` and one entry
-per key. Each [[effects.NAME]] table adds one effect of the catalogue to the model. A [define.NAME]
-table defines an effect of the user's own (user_effects.py). Every key has its unit in its name;
-unknown and missing keys are errors.
+per key. Gear ratio, gravity, counts and angles are taken as exact, whatever the default; a single
+number among them is not where it has an entry of its own. Each [[effects.NAME]] table adds one
+effect of the catalogue to the model. A [define.NAME] table defines an effect of the user's own
+(user_effects.py). Every key has its unit in its name; unknown and missing keys are errors.
 """
 
 import copy
@@ -45,6 +46,13 @@ NOT_NEGATIVE = "0 or more"
 COUNT = "a whole number greater than 0"
 ANGLES = "a list of angles, one per wheel"
 ACUTE = "0 or more and less than 90"
+
+NEVER_FITTED = {
+    "robot.wheel_angles_deg",
+    "odometry.wheel_angles_deg",
+    "odometry.counts_per_rev",
+    "axis.supply_v",
+}
 
 ROBOT_KEYS = {
     "robot.mass_kg": POSITIVE,
@@ -382,6 +390,8 @@ def _read_tolerance(
     for key, item in tolerance.items():
         if item < 0:
             raise InputError(f"{path}: 'tolerance.{key}' must be {NOT_NEGATIVE}, not {item}")
+        if item > 0 and key in NEVER_FITTED:
+            raise InputError(f"{path}: 'tolerance.{key}' must be 0 or left out: it is not fitted")
     return tolerance
 
 

@@ -168,7 +168,8 @@ def _feigned_m_s(machine: Machine, run: Run, row: int, model: Array) -> float:
     When within a row wheels break loose or grip again the log does not tell: for up to a row on
     either side of a jump the body is pulled with mu g, or is not. What earlier jumps of the horizon
     left shows no later than where the wheels grip. Jumps after the row may answer the push. Drivers
-    that brake only under a reversed command switch where it changes its sign within a row.
+    that brake only under a reversed command switch where it changes its sign within a row, and what
+    then slides may do so to the end of the next.
     """
     values = machine.model.values
     grip_m_s2 = values["contact.mu_drive"] * values["contact.gravity_m_s2"]
@@ -184,8 +185,10 @@ def _feigned_m_s(machine: Machine, run: Run, row: int, model: Array) -> float:
     if model[machine.place("driver_freewheel", "braking_fraction", None)[0]] != 1.0:
         most = np.maximum(into, out_of)
         switches = np.any((np.abs(run.command) <= 0.5 * most) & (most > 0.0), axis=1)
+        sliding = switches.copy()
+        sliding[1:] |= switches[:-1]
         near = slice(before.start, beside.stop)
-        unsure_s += float(np.sum(rows_s[near][switches[near] & ~jumps[near]]))
+        unsure_s += float(np.sum(rows_s[near][sliding[near] & ~jumps[near]]))
     return float(2.0 * grip_m_s2 * unsure_s)
 
 

@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 
 Array = npt.NDArray[np.float64]
 
-# Known exactly: gearing and gravity, angles of the mounting, counts of the disc.
+# Known exactly, unless [tolerance] names them: gearing and gravity, angles of the mounting, counts
+# of the disc.
 EXACT_KEYS = (
     "robot.wheel_angles_deg",
     "motor.gear_ratio",
@@ -334,8 +335,8 @@ class Machine:
         return {key: tuple(names.index(n) for n in plant) for key, plant in keys.items()}
 
     def _may_move(self, key: str) -> bool:
-        value = self.model.values[key]
-        return key not in EXACT_KEYS and value != 0 and self.model.tolerance_of(key) > 0
+        exact = key in EXACT_KEYS and key not in self.model.tolerance
+        return not exact and self.model.values[key] != 0 and self.model.tolerance_of(key) > 0
 
     def _base_parameter(self, key: str) -> Parameter:
         value = float(self.model.values[key])  # type: ignore[arg-type]
