@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from omnislip.gap import find
 from omnislip.gap.events import Impact
 from omnislip.gap.find import find_gap, to_json
-from omnislip.gap.gates import check, logged_set_points, too_poor
+from omnislip.gap.gates import _lag_s, check, logged_set_points, too_poor
 from omnislip.gap.machine import Machine
 from omnislip.gap.truth import TruthCase, write_case
 from omnislip.gap.truth_effects import typical_effect
@@ -141,17 +141,45 @@ MISTAKES = {
     "heading frozen": (lambda g: frozen(g, POSE[2:], 2.0, 4.0), "pose/theta_rad does not change"),
     "x dead": (lambda g: times(g, POSE[:1], 0.0), "pose/x_m does not change from 0.00"),
     "y dead": (lambda g: times(g, POSE[1:2], 0.0), "pose/y_m does not change from 0.00"),
-    "duty dead": (lambda g: times(g, ["wheel/3/duty"], 0.0), "wheel/3/duty is 0 in every row"),
-    "duty of another wheel": (
-        lambda g: spoilt(g, wheel__4__duty=g.columns["wheel/1/duty"]),
-        "wheel/4/duty is that of wheel 1",
-    ),
     "encoder of another wheel": (
         lambda g: spoilt(g, wheel__4__encoder_counts=g.columns[COUNTS[0]]),
         "wheel/4/encoder_counts is that of wheel 1",
     ),
     "encoder dead": (lambda g: times(g, [COUNTS[1]], 0.0), "wheel/2/encoder_counts stands still"),
 }
+
+
+DOUBTS = {
+    "duty dead": (lambda g: times(g, ["wheel/3/duty"], 0.0), "wheel/3/duty is 0 in every row"),
+    "duty of another wheel": (
+        lambda g: spoilt(g, wheel__4__duty=g.columns["wheel/1/duty"]),
+        "wheel/4/duty is that of wheel 1",
+    ),
+}
+
+
+@pytest.mark.parametrize("doubt", DOUBTS)
+def test_a_duty_in_doubt_costs_its_log_and_only_all_logs_the_answer(good, doubt):
+    """A programme may drive two wheels alike, or one not at all; not in every log."""
+    spoil, words = DOUBTS[doubt]
+    bad = spoil(drive("bad", seed=1))
+    some = check(MACHINE, [good, bad])
+    assert some.complaint is None
+    assert [log.name for log in some.logs] == [good.name]
+    [told] = some.told
+    assert words in told and "bad" in told and "not used" in told
+    assert words in check(MACHINE, [bad]).complaint
+
+
+@pytest.mark.parametrize("period_s", [0.5, 0.9, 1.3])
+@pytest.mark.parametrize("late_s", [0.0, 0.1])
+def test_a_wave_is_not_late_by_half_its_period(period_s, late_s):
+    t_s = np.arange(0.0, 9.0, 0.01)
+    noise = 0.02 * np.random.default_rng(3).standard_normal((2, len(t_s)))
+    wave, shown = (np.sin(2.0 * np.pi * (t_s - t) / period_s) for t in (0.0, late_s))
+    found_s, alike = _lag_s(wave + noise[0], shown + noise[1])
+    assert found_s == pytest.approx(late_s, abs=0.02)
+    assert alike > 0.99
 
 
 @pytest.mark.parametrize("mistake", MISTAKES)

@@ -42,6 +42,8 @@ GRID_S = 0.01
 WINDOW_S = 0.2
 ALIKE = 0.9
 """Correlation of two sensors from which on their scale and lag can be judged."""
+AS_ALIKE = 0.05
+"""Difference of correlations that does not tell one period of a wave from another."""
 PLAUSIBLE_SCALE = {
     "gyro/z_rad_s": (0.3, 3.0),
     "pose/theta_rad": (0.15, 4.0),
@@ -101,8 +103,12 @@ def check(machine: Machine, logs: Sequence[Log]) -> Checked:
         told += _told(log, "rows are missing, the log is cut there:", gaps_s)
     if machine.kind != "robot":
         return Checked(list(logs), cuts, None, told)
-    mended = []
+    mended, doubts = [], []
     for log in logs:
+        doubt = _doubtful_duty(machine, log)
+        if doubt:
+            doubts.append(f"{log.name}: {doubt}")
+            continue
         better, false_s = _without_false_rates(log)
         complaint = _complaint(machine, better)
         if complaint:
@@ -116,6 +122,9 @@ def check(machine: Machine, logs: Sequence[Log]) -> Checked:
         cuts += [(log.name, t) for t in jumps_s]
         told += _told(log, "false pose, not used:", false_s)
         told += _told(log, "the pose goes on from another place, the log is cut there:", jumps_s)
+    if doubts and not mended:
+        return Checked(list(logs), cuts, doubts[0])
+    told += [f"{doubt}; the log is not used" for doubt in doubts]
     return Checked(mended, cuts, _other_robot(machine, mended), told)
 
 
@@ -144,8 +153,7 @@ def _complaint(machine: Machine, log: Log) -> str | None:
     for gate in (
         _jumping_counts,
         _stuck_encoder,
-        _false_duty,
-        _copied_wheel,
+        _copied_counts,
         _clipped_gyro,
         _flat,
         _wrong_scale,
@@ -198,20 +206,23 @@ def _turn_rates(machine: Machine, log: Log) -> tuple[Array, Array, Array] | None
 
 
 def _lag_s(reference: Array, shown: Array) -> tuple[float, float]:
-    """Lag of `shown` behind `reference` (both on 10 ms), and their correlation at that lag."""
+    """Lag of `shown` behind `reference` (both on 10 ms), and their correlation at that lag.
+
+    A wave is as much like itself half a period later: of what is as much alike, the least lag.
+    """
     most = round(MOST_LAG_S / GRID_S)
     if len(reference) < 4 * most:
         return 0.0, 0.0
-    best = (0.0, 0.0)
+    alike = np.zeros(2 * most + 3)  # of all shifts; what lies beyond is not alike
     for shift in range(-most, most + 1):
         a = reference[most - shift : len(reference) - most - shift]
         b = shown[most : len(shown) - most]
-        if a.std() == 0 or b.std() == 0:
-            continue
-        alike = abs(float(np.corrcoef(a, b)[0, 1]))
-        if alike > best[1]:
-            best = (shift * GRID_S, alike)
-    return best
+        if a.std() > 0 and b.std() > 0:
+            alike[most + 1 + shift] = abs(float(np.corrcoef(a, b)[0, 1]))
+    peak = (alike[1:-1] >= alike[:-2]) & (alike[1:-1] >= alike[2:])
+    likely = np.flatnonzero(peak & (alike[1:-1] >= alike.max() - AS_ALIKE)) - most
+    shift = likely[np.argmin(np.abs(likely))]
+    return float(shift * GRID_S), float(alike[most + 1 + shift])
 
 
 # ---- one log ----
@@ -275,37 +286,43 @@ def _stuck_encoder(machine: Machine, log: Log) -> str | None:
     return None
 
 
-def _false_duty(machine: Machine, log: Log) -> str | None:
-    """A duty that never changes, though its wheel turns as much as those whose duties do."""
-    duty = _duties(log)
-    way_m = np.abs(np.diff(_wheel_travel_m(machine, log), axis=0)).sum(axis=0)
+def _doubtful_duty(machine: Machine, log: Log) -> str | None:
+    """A duty that never changes though its wheel turns as much as those whose duties do, or a copy.
+
+    A programme may ask for that in some of the logs; in all of them a column is not what it says.
+    """
+    duty, way_m = _duties(log), _wheel_travel_m(machine, log)
+    turned_m = np.abs(np.diff(way_m, axis=0)).sum(axis=0)
     for wheel in range(4):
-        usual_m = np.median(np.delete(way_m, wheel))
+        usual_m = np.median(np.delete(turned_m, wheel))
         others_vary = np.all(np.ptp(np.delete(duty, wheel, axis=1), axis=0) > BLIND_DUTY)
-        turns = usual_m > LEAST_WAY_M and way_m[wheel] > usual_m / 2
+        turns = usual_m > LEAST_WAY_M and turned_m[wheel] > usual_m / 2
         if np.ptp(duty[:, wheel]) == 0 and others_vary and turns:
             return (
                 f"wheel/{wheel + 1}/duty is {duty[0, wheel] + 0.0:g} in every row, though its "
                 "wheel turns as much as the others: log the duty that is applied"
             )
-    return None
+    speed = np.gradient(way_m, log.t_s, axis=0)
+    return _copied(("duty", duty), ("encoder_counts", speed))
 
 
-def _copied_wheel(machine: Machine, log: Log) -> str | None:
-    """Duties, or counts, of two wheels that are the same in every row, though the others differ."""
+def _copied_counts(machine: Machine, log: Log) -> str | None:
+    """Two wheels that turn alike in every row, though their duties differ."""
     speed = np.gradient(_wheel_travel_m(machine, log), log.t_s, axis=0)
-    columns = {"duty": _duties(log), "encoder_counts": speed}
-    names = list(columns)
-    for name, other in (names, names[::-1]):
-        for one, two in combinations(range(4), 2):
-            same = columns[name][:, one], columns[name][:, two]
-            apart = columns[other][:, one], columns[other][:, two]
-            rms = np.sqrt(np.mean(np.square([*apart, apart[0] - apart[1]]), axis=1))
-            if np.array_equal(*same) and np.any(same) and rms[2] > OTHER_MOTION * max(rms[:2]):
-                return (
-                    f"wheel/{two + 1}/{name} is that of wheel {one + 1} in every row, though their "
-                    f"wheel/*/{other} differ"
-                )
+    return _copied(("encoder_counts", speed), ("duty", _duties(log)))
+
+
+def _copied(alike: tuple[str, Array], other: tuple[str, Array]) -> str | None:
+    """Say which wheel's column (rows, 4) is another's in every row, though others differ."""
+    for one, two in combinations(range(4), 2):
+        same = alike[1][:, one], alike[1][:, two]
+        apart = other[1][:, one], other[1][:, two]
+        rms = np.sqrt(np.mean(np.square([*apart, apart[0] - apart[1]]), axis=1))
+        if np.array_equal(*same) and np.any(same) and rms[2] > OTHER_MOTION * max(rms[:2]):
+            return (
+                f"wheel/{two + 1}/{alike[0]} is that of wheel {one + 1} in every row, though their "
+                f"wheel/*/{other[0]} differ"
+            )
     return None
 
 
