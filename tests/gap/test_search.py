@@ -9,7 +9,7 @@ from axis_bench import Bench, make_log, make_machine, make_runs, silent
 from omnislip.gap import search as search_module
 from omnislip.gap.inference import Data, fit, weigh
 from omnislip.gap.machine import Machine
-from omnislip.gap.noise import track_all
+from omnislip.gap.noise import RunawayError, track_all
 from omnislip.gap.recordings import make_run
 from omnislip.gap.search import believed_hypothesis, screen, search, settle, stability_of
 from omnislip.gap.truth import TruthCase, write_case
@@ -246,6 +246,24 @@ def test_what_shows_beside_the_newest_effect_is_a_rival_of_the_older_one(machine
     [newest] = second.keys() - {older}
     assert second[older] == first[older] + second[newest]
     assert second[newest] != first[older]
+
+
+def test_a_candidate_whose_own_filter_loses_the_robot_gets_no_name(machine, monkeypatch):
+    def lose_what_has_effects(machine, runs, start, *args, **options):
+        if start.effects:
+            raise RunawayError("run_00: its motion grows without bounds")
+        return settle(machine, runs, start, *args, **options)
+
+    monkeypatch.setattr(search_module, "settle", lose_what_has_effects)
+    outcome = find(machine, Bench(coulomb_n=2.0))
+    assert outcome.selected == ()
+    assert [trial for trial in outcome.trials if trial.accepted] == []
+    assert "does not follow" in " ".join(trial.reason for trial in outcome.trials)
+    data, current = settle(machine, outcome.data.runs, outcome.base.hypothesis)
+    ahead = search_module._Ahead(data, current, machine.candidates(), 1, 100, silent)
+    start = current.hypothesis.with_effect(outcome.trials[0].candidate, outcome.trials[0].values)
+    assert ahead.best([(outcome.trials[0], replace(current, hypothesis=start))], []) is None
+    assert ahead.trials == []
 
 
 def test_a_threshold_between_two_starts_is_found(tmp_path):

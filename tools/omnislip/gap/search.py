@@ -235,9 +235,12 @@ def search(
         for fresh in accepted.hypothesis.effects[len(current.hypothesis.effects) :]:
             neighbours[fresh.name] = nearest
             candidates = [c for c in candidates if c.name != fresh.name]
-        data, current = settle(
-            machine, runs, accepted.hypothesis, data.noise, last=accepted.jacobian
-        )
+        try:
+            settled = settle(machine, runs, accepted.hypothesis, data.noise, last=accepted.jacobian)
+        except RunawayError:
+            trials = [_lost(trial) if trial.step == step else trial for trial in trials]
+            break
+        data, current = settled
         data, current = _patch_settled(data, _extend(machine, data, current))
         current = _drop_needless(data, current, tried)
         chosen = current.hypothesis.effects
@@ -643,6 +646,13 @@ def _judge(
     )
 
 
+def _lost(trial: Trial) -> Trial:
+    """What was accepted along the filter of another model is refused: its own loses the robot."""
+    if not trial.accepted:
+        return trial
+    return replace(trial, accepted=False, reason="the robot does not follow it")
+
+
 @dataclass(frozen=True)
 class _Further:
     """A model with one or two more effects, and that without them, by the noise that fits the
@@ -698,11 +708,12 @@ class _Ahead:
         judged = side_by_side(
             lambda pair: self._by_its_noise(pair[0].candidate, pair[1].hypothesis), clear + covered
         )
-        self.trials += [one.trial for one in judged]
-        passed = [one for one in judged if one.trial.accepted]
+        followed = [one for one in judged if one is not None]
+        self.trials += [one.trial for one in followed]
+        passed = [one for one in followed if one.trial.accepted]
         if len(self._current.hypothesis.effects) + 2 <= MOST_EFFECTS:
             for first in judged[: len(clear)]:
-                passed = passed or self._pairs(first)
+                passed = passed or (self._pairs(first) if first else [])
         best = max(passed, key=_Further.gain, default=None)
         self.trials = [
             replace(trial, accepted=best is not None and trial is best.trial)
@@ -744,14 +755,23 @@ class _Ahead:
         if best < nearest:
             return None
         first = self._by_its_noise(candidate, delayed(best))
+        if first is None:
+            return None
         self.trials.append(first.trial)
         [delay_s] = first.fitted.hypothesis.values_of(len(current.effects))
         return first if first.trial.accepted and delay_s >= nearest * row_s else None
 
-    def _by_its_noise(self, candidate: Candidate, start: Hypothesis) -> _Further:
+    def _by_its_noise(self, candidate: Candidate, start: Hypothesis) -> _Further | None:
+        """Judge a candidate by the noise that fits it; None where its own filter loses the robot.
+
+        What pulls as hard as a motor, tooth by tooth, may gain along the filter of another model.
+        """
         self._progress(f"step {self._step}: looking ahead from {candidate.name}")
         machine, noise = self._data.machine, self._data.noise
-        data, first = settle(machine, self._data.runs, start, noise, AHEAD_TUNINGS)
+        try:
+            data, first = settle(machine, self._data.runs, start, noise, AHEAD_TUNINGS)
+        except RunawayError:
+            return None
         without = fit(data, self._current.hypothesis)
         evidence = weigh(data, without, first, len(without.hypothesis.effects))
         [check] = check_unseen(data, without, [first])
