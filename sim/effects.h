@@ -101,7 +101,8 @@ struct Constants {
     S zero_angle_rad;               /* reading at which a pendulum hangs straight down */
     S friction_speed;               /* rad/s at the shaft; a Coulomb torque is smoothed over it */
     /* memory: see memory.h */
-    S delay_s[N], driver_lag_s[N], inductance_h[N], heating_1_a2_s[N], bristle_length_m[N];
+    S delay_s[N], driver_lag_s[N], inductance_h[N], heating_1_a2_s[N];
+    S bristle_length_m[N], bristle_rolling[N];
     S play_rad[N], stiffness_nm_rad[N], damping_nm_s_rad[N], load_share[N];
 };
 
@@ -610,18 +611,23 @@ struct GearBacklash : Effect {
     static constexpr EffectInfo info = {
         "gear_backlash",
         "The gear has play: after a reversal the motor turns before the wheel does.",
-        "no torque while the twist at the wheel is within +-angle / 2",
+        "no torque while the twist at the wheel is within +-angle / 2; load_share of the inertia "
+        "is "
+        "behind it",
         "gear",
         "play between the teeth",
         Scope::kCommon,
         kRobot | kAxis,
         kPrepare,
-        1,
-        {{"angle_rad", "rad", 0.0, 0.0, 0.5, 0.01}}};
+        2,
+        {{"angle_rad", "rad", 0.0, 0.0, 0.5, 0.01},
+         {"load_share", "1", kLoadShare, 0.05, 0.95, 0.0}}};
     template <class S, int N>
     static void prepare(Constants<S, N> &c, const Values<S> &p) {
-        for (int i = 0; i < N; ++i)
+        for (int i = 0; i < N; ++i) {
             c.play_rad[i] = p(0, i);
+            c.load_share[i] = c.load_share[i] + (p(1, i) - S(kLoadShare));
+        }
     }
 };
 
@@ -644,7 +650,7 @@ struct ShaftCompliance : Effect {
         for (int i = 0; i < N; ++i) {
             c.stiffness_nm_rad[i] = p(0, i);
             c.damping_nm_s_rad[i] = p(1, i);
-            c.load_share[i] = p(2, i);
+            c.load_share[i] = c.load_share[i] + (p(2, i) - S(kLoadShare));
         }
     }
 };
@@ -902,19 +908,23 @@ struct ContactShape : Effect {
 struct BristleRelaxation : Effect {
     static constexpr EffectInfo info = {
         "bristle_relaxation",
-        "The drive force follows the slip after some rolling on.",
-        "z' = abs(s) (phi(s) - z) / (length abs(phi(s))), force = N mu z",
+        "The drive force follows the slip after some sliding, or some rolling on.",
+        "z' = (abs(s / phi(s)) + rolling abs(VT)) (phi(s) - z) / length, force = N mu z",
         "contact",
-        "LuGre bristles, phi the friction law as a share of its limit",
+        "LuGre bristles (rolling = 0), or a tyre's relaxation length (1); phi the friction law as "
+        "a "
+        "share of its limit",
         Scope::kCommon,
         kRobot,
         kPrepare,
-        1,
-        {{"length_m", "m", 0.0, 0.0, 0.05, 0.001}}};
+        2,
+        {{"length_m", "m", 0.0, 0.0, 0.05, 0.001}, {"rolling", "1", 0.0, 0.0, 1.0, 0.0}}};
     template <class S, int N>
     static void prepare(Constants<S, N> &c, const Values<S> &p) {
-        for (int i = 0; i < N; ++i)
+        for (int i = 0; i < N; ++i) {
             c.bristle_length_m[i] = p(0, i);
+            c.bristle_rolling[i] = p(1, i);
+        }
     }
 };
 

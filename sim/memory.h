@@ -71,7 +71,8 @@ void forget(Constants<S, N> &c) {
     c.pose_delay_s = c.clock_fraction = S(0.0);
     for (int i = 0; i < N; ++i) {
         c.delay_s[i] = c.driver_lag_s[i] = c.inductance_h[i] = S(0.0);
-        c.heating_1_a2_s[i] = c.bristle_length_m[i] = c.play_rad[i] = S(0.0);
+        c.heating_1_a2_s[i] = c.bristle_length_m[i] = c.bristle_rolling[i] = S(0.0);
+        c.play_rad[i] = S(0.0);
         c.stiffness_nm_rad[i] = S(kUnbounded);
         c.damping_nm_s_rad[i] = S(0.0);
         c.load_share[i] = S(kLoadShare);

@@ -606,8 +606,8 @@ class RobotPlant : public RobotLayout {
         }
     }
 
-    /* The bristles' share of the grip relaxes to that of the friction law with the distance
-     * slipped; in: law, out: mean share over the step and rate of the share. */
+    /* The bristles' share of the grip relaxes to that of the friction law with the distance slipped
+     * or rolled; in: law, out: mean share over the step and rate of the share. */
     void bend_bristles(const Step &step, const RobotInternals<S> &in, S *shape, S *rate) const {
         using std::abs;
         using std::max;
@@ -616,8 +616,9 @@ class RobotPlant : public RobotLayout {
             const S share = abs(shape[i]);
             const S slip_per_share = select(
                 share > S(1e-9), abs(in.slip_m_s[i]) / max(share, S(1e-9)), S(1.0) / at_rest);
+            const S pace_m_s = slip_per_share + c_.bristle_rolling[i] * abs(in.hub_speed_m_s[i]);
             const auto bristle =
-                Relaxation<S>::over(S(step.length_s) * slip_per_share, c_.bristle_length_m[i]);
+                Relaxation<S>::over(S(step.length_s) * pace_m_s, c_.bristle_length_m[i]);
             const S ahead = shape[i] - step.grip[i];
             rate[i] = bristle.gained * S(step.inverse_s) * ahead;
             shape[i] = shape[i] - bristle.left * ahead;

@@ -159,10 +159,12 @@ static void winding_warms_towards_the_balance_with_its_cooling(void) {
 
 /* ---- contact ---- */
 
-/* dz/dt = |s| (phi - z) / (length |phi|) at a slip that stays. */
-static void bristles_relax_with_the_distance_slipped(void) {
+/* dz/dt = (|s / phi| + rolling |VT|) (phi - z) / length at a slip and a speed that stay. */
+static void bristles_relax_with_the_distance(double rolling) {
     const double length_m = 2e-3, duration_s = 0.004;
-    Robot robot(unmoved().effect("bristle_relaxation", "length_m", length_m));
+    Robot robot(unmoved()
+                    .effect("bristle_relaxation", "length_m", length_m)
+                    .effect("bristle_relaxation", "rolling", rolling));
     robot.x = kMoving;
     robot.x[Layout::kVelocity + 2] = 0.0; /* or the body's velocity turns in its frame */
     robot.drive(kRest, 1e-6);
@@ -172,10 +174,19 @@ static void bristles_relax_with_the_distance_slipped(void) {
     for (std::size_t i = 0; i < 4; ++i) {
         const double slip_m_s = robot.in.slip_m_s[i];
         const double law = 2.0 / kPi * std::atan(40.0 * slip_m_s);
-        const double slipped = slip_m_s * duration_s / (length_m * law);
+        const double pace_m_s = slip_m_s / law + rolling * std::abs(robot.in.hub_speed_m_s[i]);
+        const double lengths = pace_m_s * duration_s / length_m;
         const double share = robot.all[Layout::kGrip + i];
-        TEST_ASSERT_DOUBLE_WITHIN(1e-6, law * (1.0 - std::exp(-slipped)), share);
+        TEST_ASSERT_DOUBLE_WITHIN(1e-6, law * (1.0 - std::exp(-lengths)), share);
     }
+}
+
+static void bristles_relax_with_the_distance_slipped(void) {
+    bristles_relax_with_the_distance(0.0);
+}
+
+static void tyres_relax_with_the_distance_rolled_too(void) {
+    bristles_relax_with_the_distance(0.7);
 }
 
 /* ---- gear ---- */
@@ -484,6 +495,7 @@ int main(void) {
     RUN_TEST(warm_winding_draws_less_current);
     RUN_TEST(winding_warms_towards_the_balance_with_its_cooling);
     RUN_TEST(bristles_relax_with_the_distance_slipped);
+    RUN_TEST(tyres_relax_with_the_distance_rolled_too);
     RUN_TEST(compliant_shaft_rings_at_its_natural_frequency);
     RUN_TEST(damper_takes_the_energy_out_of_the_twist);
     RUN_TEST(lost_motion_of_a_reversal_is_the_play);

@@ -444,6 +444,7 @@ EXTENSIONS = {
     (CURVE, "root"),
     (CURVE, "roller"),
     ("shaft_compliance", "load_share"),
+    ("gear_backlash", "load_share"),
 }
 
 WHOLE = {("cogging", "cycles_per_rev"), ("roller_ripple", "rollers")}
@@ -458,6 +459,7 @@ SHAPE_GRIDS = {
     ),
     ("roller_ripple", "rollers"): tuple(float(n) for n in range(6, 25)),
     ("grip_falloff", "speed_m_s"): (0.1, 0.3, 0.9),
+    ("bristle_relaxation", "rolling"): (0.0, 1.0),
     ("encoder_dropout", "speed_rad_s"): (50.0, 100.0, 150.0, 200.0, 300.0),
     ("current_limit", "limit_a"): (2.5, 5.0, 9.0, 15.0),
     ("shaft_compliance", "stiffness_nm_rad"): (30.0, 100.0, 300.0),
