@@ -25,6 +25,7 @@ from omnislip.gap.inverse import relative_force_error
 from omnislip.gap.leftover import Leftover, find_shapes
 from omnislip.gap.machine import CURVE, EXTENSIONS, Machine, effect_and_wheel
 from omnislip.gap.metrics import (
+    REPEATED,
     Closed,
     GapTable,
     Replays,
@@ -445,9 +446,10 @@ def _surest(outcome: Outcome, refused: Callable[[Trial], bool]) -> Trial | None:
 def _much_is_left(table: GapTable) -> bool:
     """Whether replays of held-out runs stay clearly above the floor.
 
-    With effects: they surely close less than `EXPLAINED` of the gap. Far above in any case, if more
-    than one window says so: a held-out run may hold what no fitted one does, and of what comes and
-    goes the mean is as uncertain as it is large.
+    With effects: they surely close less than `EXPLAINED` of the gap. Without: against repeated
+    manoeuvres, for the predictor's own noise takes a gap that nothing explains for chance. Far
+    above in any case, if more than one window says so: a held-out run may hold what no fitted one
+    does, and of what comes and goes the mean is as uncertain as it is large.
     """
     left, closed = table.left, table.closed
     if left.excess < LEAST_EXCESS:
@@ -455,7 +457,8 @@ def _much_is_left(table: GapTable) -> bool:
     far, sure = left.excess > FAR_EXCESS, left.excess >= SURE * left.standard_error
     if closed.high is not None:
         return (sure or far) and closed.high < EXPLAINED
-    return sure or (far and left.standard_error < np.inf)
+    judged = left.standard_error < np.inf
+    return (far and judged) or (sure and table.floor_source == REPEATED)
 
 
 def _steps(
