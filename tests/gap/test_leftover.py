@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from omnislip.gap.inference import Data, fit
-from omnislip.gap.leftover import dictionary, find_leftover
+from omnislip.gap.leftover import BODY_SHAPES, dictionary, find_leftover
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import tune_noise
 from omnislip.gap.recordings import make_run, unwrap_counts
@@ -55,3 +55,13 @@ def test_one_encoder_that_ripples_is_named(logs, wheel, order, angle):
 def test_terms_have_names_of_their_own():
     names = [(term.equation, term.dependence) for term in dictionary(MACHINE)]
     assert len(set(names)) == len(names)
+
+
+def test_a_speed_slows_where_its_size_falls_in_either_direction():
+    t_s = np.arange(0.0, 6.0, 0.005)
+    state = np.zeros((len(t_s), 14))
+    state[:, 8] = np.sin(2.0 * t_s)
+    found = BODY_SHAPES["own speed while it slows"](state, np.zeros((len(t_s), 4)), t_s, 8)
+    slows = state[:, 8] * np.cos(2.0 * t_s) < 0.0
+    turns = np.abs(np.sin(4.0 * t_s)) < 0.15  # the mean over some rows ends it a little late
+    np.testing.assert_array_equal(found[~turns], (state[:, 8] * slows)[~turns])

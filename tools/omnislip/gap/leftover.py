@@ -207,6 +207,17 @@ def _shaft(function: Callable[[Array, Array], Array]) -> Callable[..., Array]:
     return lambda x, d, t, i: function(x[:, i], d[:, i])
 
 
+def _along(time_s: Array, values: Array) -> Array:
+    """Rate of change, smoothed over some rows."""
+    kernel = np.ones(9) / 9
+    return np.convolve(np.gradient(values, time_s), kernel, mode="same")
+
+
+def _slows(time_s: Array, speed: Array) -> Array:
+    """1 where a speed falls, 0 elsewhere."""
+    return (_along(time_s, speed**2) < 0.0).astype(np.float64)
+
+
 SHAFT_SHAPES: dict[str, Callable[..., Array]] = {
     "constant": _shaft(lambda w, d: np.ones_like(w)),
     "direction of rotation": _shaft(lambda w, d: np.tanh(w / SLOW_RAD_S)),
@@ -219,6 +230,9 @@ SHAFT_SHAPES: dict[str, Callable[..., Array]] = {
     "sign of the command": _shaft(lambda w, d: np.sign(d)),
     "size of the command, against rotation": _shaft(
         lambda w, d: np.abs(d) * np.tanh(w / SLOW_RAD_S)
+    ),
+    "direction of rotation while it slows": lambda x, d, t, i: (
+        np.tanh(x[:, i] / SLOW_RAD_S) * _slows(t, x[:, i])
     ),
     "time and command": lambda x, d, t, i: t * d[:, i],
     "time and speed": lambda x, d, t, i: t * x[:, i],
@@ -255,12 +269,6 @@ def _rubbing_shapes(gear: float) -> dict[str, Callable[..., Array]]:
     }
 
 
-def _along(time_s: Array, values: Array) -> Array:
-    """Rate of change, smoothed over some rows."""
-    kernel = np.ones(9) / 9
-    return np.convolve(np.gradient(values, time_s), kernel, mode="same")
-
-
 GYRO_SHAPES: dict[str, Callable[..., Array]] = {
     "acceleration along x": lambda x, d, t, i: _along(t, x[:, 8]) - x[:, 10] * x[:, 9],
     "acceleration along y": lambda x, d, t, i: _along(t, x[:, 9]) + x[:, 10] * x[:, 8],
@@ -287,6 +295,7 @@ BODY_SHAPES: dict[str, Callable[..., Array]] = {
     "own speed": lambda x, d, t, i: x[:, i],
     "own speed squared, against it": lambda x, d, t, i: x[:, i] * np.abs(x[:, i]),
     "own speed cubed": lambda x, d, t, i: x[:, i] ** 3,
+    "own speed while it slows": lambda x, d, t, i: x[:, i] * _slows(t, x[:, i]),
     "speed across": lambda x, d, t, i: x[:, 17 - i],
     "speed along and across": lambda x, d, t, i: x[:, 8] * x[:, 9],
     "yaw rate": lambda x, d, t, i: x[:, 10],
