@@ -22,6 +22,7 @@ from omnislip.gap.find import (
     write_results,
 )
 from omnislip.gap.inference import Evidence
+from omnislip.gap.leftover import Shape
 from omnislip.gap.machine import Machine
 from omnislip.gap.metrics import Closed, Left
 from omnislip.gap.plan import Manoeuvre, Separation
@@ -77,6 +78,24 @@ def verdict_of(
 )
 def test_names_that_leave_a_part_of_the_gap_are_not_given(covered, verdict):
     assert verdict_of([selected("coulomb_friction", 1e5)], (500.0, covered)) == verdict
+
+
+@pytest.mark.parametrize(
+    ("gain", "nameless", "inflation", "verdict"),
+    [
+        (1000.0, 1050.0, 1.0, "effect_found"),
+        (1000.0, 1200.0, 1.0, "unknown_effect"),
+        (1000.0, 1200.0, 5.0, "effect_found"),
+        (100.0, 140.0, 1.0, "effect_found"),
+        (1000.0, None, 1.0, "effect_found"),
+    ],
+)
+def test_a_name_is_not_given_where_a_nameless_term_explains_more(
+    gain, nameless, inflation, verdict
+):
+    instead = Shape("every wheel/torque", "speed to the fifth", nameless) if nameless else None
+    one = replace(selected("quadratic_wheel_drag", gain, inflation), instead=instead)
+    assert verdict_of([one]) == verdict
 
 
 @pytest.mark.parametrize(("gain", "verdict"), [(60.0, "no_gap"), (150.0, "unknown_effect")])

@@ -5,25 +5,29 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from omnislip.gap.inference import Data, fit
-from omnislip.gap.leftover import BODY_SHAPES, dictionary, find_leftover
+from omnislip.gap.leftover import BODY_SHAPES, dictionary, find_leftover, shapes_instead
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import tune_noise
 from omnislip.gap.recordings import make_run, unwrap_counts
-from omnislip.gap.search import believed_hypothesis
+from omnislip.gap.search import believed_hypothesis, settle
 from omnislip.gap.truth import TruthCase, generate
+from omnislip.gap.truth_effects import typical_effect
 from omnislip.log_file import Log
 from omnislip.model_file import NOMINAL_ROBOT, read_model
 
 MACHINE = Machine(read_model(NOMINAL_ROBOT))
 
 
-@pytest.fixture(scope="module")
-def logs():
-    case = TruthCase(seed=8, runs=4, run_duration_s=3.0, base_offset_sd=0.0)
+def logs_of(case):
     return [
         Log(name, log["t_s"].to_numpy(), {c: log[c].to_numpy(float) for c in log.columns[1:]})
         for name, log in zip(case.run_names(), generate(case)[0], strict=True)
     ]
+
+
+@pytest.fixture(scope="module")
+def logs():
+    return logs_of(TruthCase(seed=8, runs=4, run_duration_s=3.0, base_offset_sd=0.0))
 
 
 def left_in(logs):
@@ -50,6 +54,26 @@ def test_one_encoder_that_ripples_is_named(logs, wheel, order, angle):
     found = left_in([rippling(log, wheel, order) for log in logs])
     assert found[0].equation == f"encoder/{wheel}/angle"
     assert found[0].dependence == f"sine of {angle} shaft angle"
+
+
+@pytest.mark.parametrize("hidden", ["quadratic_wheel_drag", "fifth_order_drag"])
+def test_a_nameless_term_explains_more_than_a_name_of_another_shape(hidden):
+    """Two drags that both grow with speed; only one of them is quadratic."""
+    effect = typical_effect(hidden).as_dict()
+    case = TruthCase(seed=8, runs=4, run_duration_s=4.0, base_offset_sd=0.0, effects=(effect,))
+    runs = [make_run(MACHINE, log) for log in logs_of(case)]
+    [drag] = [c for c in MACHINE.candidates() if c.effect == "quadratic_wheel_drag"]
+    start = believed_hypothesis(MACHINE).with_effect(drag, [drag.parameters[0].scale])
+    data, final = settle(MACHINE, runs, start)
+    without = final.refitted_without(data, 0)
+    [shape] = shapes_instead(data, final, [without])
+    share = shape.gain / (without.objective - final.objective)
+    if hidden == "fifth_order_drag":
+        assert (shape.equation, shape.dependence) == ("every wheel/torque", "speed to the fifth")
+        assert share > 1.1
+    else:
+        assert shape.dependence == "speed squared, against it"
+        assert share == pytest.approx(1.0, abs=0.05)
 
 
 def test_terms_have_names_of_their_own():

@@ -99,6 +99,9 @@ runs have to be helped: some hardly excite what is missing."""
 VARIES, VARIES_SURELY = 1.0 / 3.0, 3.0
 """Change of an effect's size from half second to half second, relative to itself, from which it is
 not what is there; and the inflation, 1 for white residuals, from which that is no chance."""
+NAMELESS, NAMELESS_GAIN = 1.1, 50.0
+"""How much more a nameless term must explain than a name in its place, and by what gain beyond
+chance: beside right names the best such term explains as much at most (1.0)."""
 EXPLAINED = 0.9
 LEAST_EXCESS = 0.5
 """Excess of the square error, in noise floors, that counts as something left."""
@@ -357,7 +360,7 @@ def _verdict(
         return "unknown_effect"
     if jolts or any(_no_chance(one) for one in shares) or _varying(outcome.selected):
         return "unknown_effect"
-    if _keys_at_their_ends(outcome):
+    if _keys_at_their_ends(outcome) or _better_without_name(outcome.selected):
         return "unknown_effect"
     return "effect_found" if outcome.selected or mended else "no_gap"
 
@@ -399,6 +402,20 @@ def _varying(selected: Sequence[Selected]) -> list[Selected]:
         if one.evidence.inflation > VARIES_SURELY
         and one.evidence.variation**2 * one.evidence.gain
         > VARIES**2 * max(named, one.evidence.gain)
+    ]
+
+
+def _better_without_name(selected: Sequence[Selected]) -> list[Selected]:
+    """Return the effects in whose place a nameless term explains surely more: the nearest names.
+
+    A term is linear, an effect is fitted, and shapes of the same meaning gain alike.
+    """
+    return [
+        one
+        for one in selected
+        if one.instead is not None
+        and one.instead.gain > NAMELESS * one.evidence.gain
+        and one.instead.gain - one.evidence.gain > NAMELESS_GAIN * one.evidence.inflation
     ]
 
 
@@ -668,6 +685,13 @@ def _sentence(
             f"; the size of {one.candidate.name}, which is nearest, changes by"
             f" {100 * one.evidence.variation:.0f} % from half second to half second"
             for one in _varying(outcome.selected)
+        )
+        text += "".join(
+            f"; {one.instead.equation}, depending on {one.instead.dependence}, explains "
+            f"{100 * (one.instead.gain / one.evidence.gain - 1):.0f} % more than "
+            f"{one.candidate.name}, which is nearest"
+            for one in _better_without_name(outcome.selected)
+            if one.instead
         )
         if refused := _surely_refused(outcome):
             text += f"; {refused.candidate.name} explains much of it in some runs and spoils others"

@@ -36,6 +36,8 @@ UNKNOWN_SHARE, CURVE_SHARE = 0.01, 1e-3
 """Square of how far the plant may be off an effect's shape, and off the friction curve's, which has
 parameters enough for it. A term that gains more than they leave makes the verdict unknown: names
 are right in place perhaps, but wrong in shape."""
+IN_ITS_PLACE = 0.5
+"""Share of an effect's gain that a term must take over to stand in its place."""
 MOST_SHAPES = 5
 SHAFT_ORDERS = range(2, 13)
 SLOW_RAD_S = 2.0
@@ -69,6 +71,15 @@ class Leftover:
     p_value: float
     validation_gain: float
     covered: float
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A nameless term, or one along both axes of the body, and its gain alone on some model."""
+
+    equation: str
+    dependence: str
+    gain: float
 
 
 def dictionary(machine: Machine) -> list[Term]:
@@ -151,11 +162,52 @@ def _order_shapes(order: int) -> dict[str, Callable[..., Array]]:
     }
 
 
-def _passing(data: Data, fitted: Fit, terms: Sequence[Term]) -> list[Leftover]:
+def shapes_instead(data: Data, final: Fit, without: Sequence[Fit]) -> list[Shape | None]:
+    """Return for each model without one effect what explains most in the place of that.
+
+    A term counts that loses most of its own gain beside the effect, and gains it without: what is
+    missing besides is no matter of the name. None where no term does.
+    """
+    beside = _gains_of_shapes(data, final)
+    found = []
+    for one in without:
+        gain = one.objective - final.objective
+        instead = [
+            Shape(*name, alone)
+            for name, alone in _gains_of_shapes(data, one).items()
+            if alone - beside.get(name, 0.0) > IN_ITS_PLACE * gain
+        ]
+        found.append(max(instead, key=lambda shape: shape.gain, default=None))
+    return found
+
+
+def _gains_of_shapes(data: Data, fitted: Fit) -> dict[tuple[str, str], float]:
+    """Gain of each term alone, and of each of the body along both of its axes."""
+    terms = dictionary(data.machine)
+    free = _responses(data, fitted, terms)
+    places = {(term.equation, term.dependence): [k] for k, term in enumerate(terms)}
+    for (equation, dependence), [k] in list(places.items()):
+        if equation == "body/force_x":
+            across = places["body/force_y", dependence]
+            places["body/force", dependence] = [k, *across]
+    gains = {}
+    for name, own in places.items():
+        column = free[:, own]
+        slope = column.T @ fitted.residual
+        gains[name] = float(slope @ np.linalg.pinv(column.T @ column, hermitian=True) @ slope)
+    return gains
+
+
+def _responses(data: Data, fitted: Fit, terms: Sequence[Term]) -> Array:
+    """What a unit of each term changes of the residuals (m, terms) beside what was fitted."""
     values = fitted.hypothesis.flat(data.believed)
     tracks = track_all(data.machine, data.runs, values, data.noise, keep_linear=True)
     columns = data.responses(tracks, lambda _, run, state: _pushes(state, run, terms))
-    free = free_of_fitted(fitted, columns)
+    return free_of_fitted(fitted, columns)
+
+
+def _passing(data: Data, fitted: Fit, terms: Sequence[Term]) -> list[Leftover]:
+    free = _responses(data, fitted, terms)
     found = []
     for index, term in enumerate(terms):
         column = free[:, index : index + 1]

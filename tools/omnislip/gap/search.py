@@ -44,7 +44,7 @@ from omnislip.gap.inference import (
     solve_within,
     weigh,
 )
-from omnislip.gap.leftover import Leftover, find_leftover
+from omnislip.gap.leftover import Leftover, Shape, find_leftover, shapes_instead
 from omnislip.gap.machine import CURVE, PHASE, WHOLE, Candidate, Machine
 from omnislip.gap.metrics import improvement, replay_all
 from omnislip.gap.noise import Noise, RunawayError, track_all, tune_noise
@@ -151,6 +151,8 @@ class Selected:
     stability: float
     left: float
     """Gain that the other effects would leave to it if they were off by all that they do."""
+    instead: Shape | None = None
+    """What explains most in its place without a name; of the friction curve nothing."""
 
 
 @dataclass(frozen=True)
@@ -1271,6 +1273,9 @@ def _select(data: Data, final: Fit, compared: Sequence[_Compared]) -> tuple[Sele
     controller's answers feign decides nothing between rivals either.
     """
     selected = []
+    named = [i for i, e in enumerate(final.hypothesis.effects) if e.effect != CURVE]
+    shapes = shapes_instead(data, final, [compared[i].without for i in named]) if named else []
+    instead = dict(zip(named, shapes, strict=True))
     pairs = zip(final.hypothesis.effects, compared, strict=True)
     for index, (effect, one) in enumerate(pairs):
         close = [lost < max(RIVAL_MARGIN, data.feigned_gain) for lost in one.lost(final)]
@@ -1284,8 +1289,9 @@ def _select(data: Data, final: Fit, compared: Sequence[_Compared]) -> tuple[Sele
         stability = stability_of(data, final, [one.without, *losers])
         left = _left_by_others(data, one.without, final, index)
         interval = _interval(data, final, index, values, one.evidence)
+        evidence, shape = one.evidence, instead.get(index)
         selected.append(
-            Selected(effect, values, interval, one.evidence, tuple(equals), stability, left)
+            Selected(effect, values, interval, evidence, tuple(equals), stability, left, shape)
         )
     return tuple(sorted(selected, key=lambda s: (s.candidate.effect == CURVE, -s.evidence.gain)))
 
