@@ -27,6 +27,7 @@ from omnislip.gap.inference import (
 from omnislip.gap.machine import CURVE, Candidate, Machine
 from omnislip.gap.noise import track_all
 from omnislip.gap.recordings import Run
+from omnislip.gap.side_by_side import side_by_side
 
 Array = npt.NDArray[np.float64]
 
@@ -168,14 +169,15 @@ def shapes_instead(data: Data, final: Fit, without: Sequence[Fit]) -> list[Shape
     A term counts that loses most of its own gain beside the effect, and gains it without: what is
     missing besides is no matter of the name. None where no term does.
     """
-    beside = _gains_of_shapes(data, final)
+    models = [final, *without]
+    beside, *gains = side_by_side(lambda one: _gains_of_shapes(data, one), models)
     found = []
-    for one in without:
-        gain = one.objective - final.objective
+    for one, alone in zip(without, gains, strict=True):
+        named = one.objective - final.objective
         instead = [
-            Shape(*name, alone)
-            for name, alone in _gains_of_shapes(data, one).items()
-            if alone - beside.get(name, 0.0) > IN_ITS_PLACE * gain
+            Shape(*name, gain)
+            for name, gain in alone.items()
+            if gain - beside[name] > IN_ITS_PLACE * named
         ]
         found.append(max(instead, key=lambda shape: shape.gain, default=None))
     return found
