@@ -611,9 +611,8 @@ struct GearBacklash : Effect {
     static constexpr EffectInfo info = {
         "gear_backlash",
         "The gear has play: after a reversal the motor turns before the wheel does.",
-        "no torque while the twist at the wheel is within +-angle / 2; load_share of the inertia "
-        "is "
-        "behind it",
+        "no torque while the twist at the wheel is within +-angle / 2; "
+        "load_share of the inertia is behind it",
         "gear",
         "play between the teeth",
         Scope::kCommon,
@@ -911,9 +910,8 @@ struct BristleRelaxation : Effect {
         "The drive force follows the slip after some sliding, or some rolling on.",
         "z' = (abs(s / phi(s)) + rolling abs(VT)) (phi(s) - z) / length, force = N mu z",
         "contact",
-        "LuGre bristles (rolling = 0), or a tyre's relaxation length (1); phi the friction law as "
-        "a "
-        "share of its limit",
+        "LuGre bristles (rolling = 0), or a tyre's relaxation length (1); "
+        "phi the friction law as a share of its limit",
         Scope::kCommon,
         kRobot,
         kPrepare,
