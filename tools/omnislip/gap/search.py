@@ -238,11 +238,12 @@ def search(
             neighbours[fresh.name] = nearest
             candidates = [c for c in candidates if c.name != fresh.name]
         try:
-            settled = settle(machine, runs, accepted.hypothesis, data.noise, last=accepted.jacobian)
+            data, current = settle(
+                machine, runs, accepted.hypothesis, data.noise, last=accepted.jacobian
+            )
         except RunawayError:
             trials = [_lost(trial) if trial.step == step else trial for trial in trials]
             break
-        data, current = settled
         data, current = _patch_settled(data, _extend(machine, data, current))
         current = _drop_needless(data, current, tried)
         chosen = current.hypothesis.effects
