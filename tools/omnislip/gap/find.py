@@ -686,11 +686,12 @@ def _sentence(
             f" {100 * one.evidence.variation:.0f} % from half second to half second"
             for one in _varying(outcome.selected)
         )
+        nameless = _better_without_name(outcome.selected)
         text += "".join(
             f"; {one.instead.equation}, depending on {one.instead.dependence}, explains "
             f"{100 * (one.instead.gain / one.evidence.gain - 1):.0f} % more than "
             f"{one.candidate.name}, which is nearest"
-            for one in _better_without_name(outcome.selected)
+            for one in nameless
             if one.instead
         )
         if refused := _surely_refused(outcome):
@@ -703,7 +704,7 @@ def _sentence(
                 f"; {len(ends)} of {len(outcome.final.hypothesis.base)} believed values would be "
                 f"more than two tolerances off ({', '.join(ends)})"
             )
-        if not (unknown or _missing_terms(outcome)) and shapes:
+        if not (unknown or nameless or _missing_terms(outcome)) and shapes:
             like = shapes[0]
             text += f"; most of it looks like {like.equation}, depending on {like.dependence}"
         text += "."
