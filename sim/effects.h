@@ -867,40 +867,43 @@ struct ContactShape : Effect {
     static constexpr EffectInfo info = {
         "contact_shape",
         "The friction law bends otherwise between stick and slide.",
-        "(1 - b - c - d) (2/pi) atan(k s) + b tanh(x) + c sgn(x) (1 - max(1 - |x|/3, 0)^3) + "
-        "d x / sqrt(1 + x^2), x = (2/pi) k s; the rollers' law takes the share `roller` of that "
-        "change",
+        "(1 - b - c - d - e) (2/pi) atan(k s) + b tanh(x) + c sgn(x) (1 - max(1 - |x|/3, 0)^3) + "
+        "d x / sqrt(1 + x^2) + e sgn(x) (1 - exp(-|x|)), x = (2/pi) k s; the rollers' law takes "
+        "the share `roller` of that change",
         "contact",
-        "tyre laws: c is the brush model (Pacejka, Tire and Vehicle Dynamics, 2012, 3.2); c, d and "
-        "roller only where b does not suffice",
+        "tyre laws: c is the brush model (Pacejka, Tire and Vehicle Dynamics, 2012, 3.2); c, d, e "
+        "and roller only where b does not suffice",
         Scope::kWhole,
         kRobot,
         kContact,
-        4,
+        5,
         {{"blend", "1", 0.0, -1.0, 2.5, 0.4},
          {"brush", "1", 0.0, -2.5, 2.5, 0.3},
          {"root", "1", 0.0, -2.5, 2.5, 0.3},
+         {"exponential", "1", 0.0, -2.5, 2.5, 0.3},
          {"roller", "1", 0.0, -0.5, 1.5, 0.5}}};
     template <class S, int N>
     static void contact(ContactTerm<S, N> &c, const Values<S> &p) {
         for (int i = 0; i < N; ++i) {
             c.shape[i] = c.shape[i] + change(c.shape[i], c.scaled_slip[i], p);
             const S across = change(c.roller_shape[i], c.scaled_roller[i], p);
-            c.roller_shape[i] = c.roller_shape[i] + p(3) * across;
+            c.roller_shape[i] = c.roller_shape[i] + p(4) * across;
         }
     }
     template <class S>
     static S change(const S &shape, const S &scaled_slip, const Values<S> &p) {
         using std::abs;
+        using std::exp;
         using std::sqrt;
-        using std::tanh;
-        const S x = S(2.0 / kPi) * scaled_slip;
-        const S left = S(1.0) - abs(x) / S(3.0);
+        const S x = S(2.0 / kPi) * scaled_slip, size = abs(x);
+        const S left = S(1.0) - size * S(1.0 / 3.0);
         const S sticking = select(left > S(0.0), left, S(0.0));
-        const S full = S(1.0) - sticking * sticking * sticking;
-        const S brush = select(x < S(0.0), -full, full);
+        const S decay = exp(-size), twice = decay * decay;
         const S root = x / sqrt(S(1.0) + x * x);
-        return p(0) * (tanh(x) - shape) + p(1) * (brush - shape) + p(2) * (root - shape);
+        const S even = p(0) * (S(1.0) - twice) / (S(1.0) + twice) +
+                       p(1) * (S(1.0) - sticking * sticking * sticking) + p(3) * (S(1.0) - decay);
+        const S shares = p(0) + p(1) + p(2) + p(3);
+        return select(x < S(0.0), -even, even) + p(2) * root - shares * shape;
     }
 };
 

@@ -442,6 +442,7 @@ def _shape_scale(parameter: dict) -> float:
 EXTENSIONS = {
     (CURVE, "brush"),
     (CURVE, "root"),
+    (CURVE, "exponential"),
     (CURVE, "roller"),
     ("shaft_compliance", "load_share"),
     ("gear_backlash", "load_share"),
