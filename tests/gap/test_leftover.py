@@ -5,7 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from omnislip.gap.inference import Data, fit
-from omnislip.gap.leftover import BODY_SHAPES, dictionary, find_leftover, shapes_instead
+from omnislip.gap.leftover import (
+    BODY_SHAPES,
+    dictionary,
+    find_leftover,
+    responses,
+    shapes_instead,
+)
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import tune_noise
 from omnislip.gap.recordings import make_run, unwrap_counts
@@ -34,7 +40,8 @@ def left_in(logs):
     runs = [make_run(MACHINE, log) for log in logs]
     start = believed_hypothesis(MACHINE)
     data = Data(MACHINE, runs, tune_noise(MACHINE, runs, MACHINE.believed), start)
-    return find_leftover(data, fit(data, start))
+    fitted = fit(data, start)
+    return find_leftover(data, fitted, responses(data, fitted, dictionary(MACHINE)))
 
 
 def rippling(log, wheel, order):
@@ -66,7 +73,8 @@ def test_a_nameless_term_explains_more_than_a_name_of_another_shape(hidden):
     start = believed_hypothesis(MACHINE).with_effect(drag, [drag.parameters[0].scale])
     data, final = settle(MACHINE, runs, start)
     without = final.refitted_without(data, 0)
-    [shape] = shapes_instead(data, final, [without])
+    free = responses(data, final, dictionary(MACHINE))
+    [shape] = shapes_instead(data, final, free, [without])
     share = shape.gain / (without.objective - final.objective)
     if hidden == "fifth_order_drag":
         assert (shape.equation, shape.dependence) == ("every wheel/torque", "speed to the fifth")

@@ -201,7 +201,7 @@ def test_what_gave_way_to_another_is_looked_for_again(machine, monkeypatch):
         [other] = {"coulomb_friction", "dead_zone"} - {taken.effect}
         candidate = next(c for c in data.machine.candidates() if c.effect == other)
         sizes = [0.1 * candidate.parameters[0].scale]
-        return fit(data, fitted.hypothesis.without(0).with_effect(candidate, sizes))
+        return fit(data, fitted.hypothesis.without(0).with_effect(candidate, sizes)), {}
 
     monkeypatch.setattr(search_module, "_swap", other_first)
     outcome = find(machine, Bench(coulomb_n=2.0, dead_zone_v=0.1))

@@ -29,6 +29,7 @@ from omnislip import _core
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import Noise, track_all, track_recordings
 from omnislip.gap.recordings import Run
+from omnislip.gap.side_by_side import side_by_side
 from omnislip.log_file import Log
 from omnislip.model_file import IMPACT_KEYS, Effect, Model
 
@@ -114,23 +115,27 @@ def find_impacts(
     """Return the impacts in the runs, by run and time."""
     if machine.kind != "robot":
         return []
+    found = side_by_side(lambda run: _impacts_in(machine, run, values, noise), runs)
+    return without_repeated(runs, [impact for own in found for impact in own])
+
+
+def _impacts_in(machine: Machine, run: Run, values: Array, noise: Noise) -> list[Impact]:
+    [track] = track_all(machine, [run], values, noise, keep_linear=True)
+    pushes = _Pushes(machine, run, track)
+    ratio, jump, explained = pushes.ratios()
+    level = float(np.percentile(ratio, 80))
     impacts = []
-    for run in runs:
-        track = track_all(machine, [run], values, noise, keep_linear=True)[0]
-        pushes = _Pushes(machine, run, track)
-        ratio, jump, explained = pushes.ratios()
-        level = float(np.percentile(ratio, 80))
-        for peak in _peaks(run.t_s, ratio, max(LEAST_RATIO, OVER_LEVEL * level)):
-            if explained[peak] >= HARD_EXPLAINED:
-                row = pushes.likeliest_row(peak)
-                filtered = track.state.reshape(len(run.t_s), -1)
-                impact = _size_up(machine, run, row, values, noise, filtered, jump[row])
-                jump_m_s = impact.jump_m_s(machine)
-                shown = explained[peak] >= EXPLAINED or jump_m_s >= HARD_M_S
-                least = max(LEAST_JUMP_M_S, _feigned_m_s(machine, run, row, values))
-                if shown and impact.confirmed and least <= jump_m_s <= MOST_JUMP_M_S:
-                    impacts.append(impact)
-    return without_repeated(runs, impacts)
+    for peak in _peaks(run.t_s, ratio, max(LEAST_RATIO, OVER_LEVEL * level)):
+        if explained[peak] >= HARD_EXPLAINED:
+            row = pushes.likeliest_row(peak)
+            filtered = track.state.reshape(len(run.t_s), -1)
+            impact = _size_up(machine, run, row, values, noise, filtered, jump[row])
+            jump_m_s = impact.jump_m_s(machine)
+            shown = explained[peak] >= EXPLAINED or jump_m_s >= HARD_M_S
+            least = max(LEAST_JUMP_M_S, _feigned_m_s(machine, run, row, values))
+            if shown and impact.confirmed and least <= jump_m_s <= MOST_JUMP_M_S:
+                impacts.append(impact)
+    return impacts
 
 
 def without_repeated(runs: Sequence[Run], impacts: Sequence[Impact]) -> list[Impact]:

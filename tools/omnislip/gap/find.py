@@ -90,11 +90,12 @@ gains, below which it carries a caution; below a tenth of this the search gives 
 LEAST_REST = 100.0
 """Gain beyond chance that a leftover term must have at least: where nothing is missing, how
 commands moved within rows leaves up to 60 in violent driving."""
-PREDICTED_SHARE, LASTING_SHARE = 0.15, 0.22
+PREDICTED_SHARE, LASTING_SHARE = 0.15, 0.4
 """Share of the filter's disturbances that is predicted from what the robot did, and from their own
 past. Where nothing is missing the first is below 0.1, beside right names too. The second is what
-chance of a bandwidth of 2 Hz tells of itself 60 ms ahead, exp(-2 * 2 pi 2 Hz * 0.06 s); of 10 Hz
-and more, below 0.01. Unknown effects that pass for chance gave 0.2 to 0.9. More than half of the
+chance of a bandwidth of 1.2 Hz tells of itself 60 ms ahead, exp(-2 * 2 pi 1.2 Hz * 0.06 s); what
+fades within a tenth of a second gave 0.3, of 10 Hz and more below 0.01. Unknown effects that pass
+for chance and that nothing else tells gave 0.6 to 0.9. More than half of the
 runs have to be helped: some hardly excite what is missing."""
 VARIES, VARIES_SURELY = 1.0 / 3.0, 3.0
 """Change of an effect's size from half second to half second, relative to itself, from which it is

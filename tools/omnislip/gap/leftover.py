@@ -123,9 +123,9 @@ def dictionary(machine: Machine) -> list[Term]:
     return terms
 
 
-def find_leftover(data: Data, fitted: Fit) -> list[Leftover]:
-    """Return the terms that pass, strongest first."""
-    return _passing(data, fitted, dictionary(data.machine))
+def find_leftover(data: Data, fitted: Fit, free: Array) -> list[Leftover]:
+    """Return the terms that pass, strongest first; `free` are the responses to them."""
+    return _passing(data, fitted, dictionary(data.machine), free)
 
 
 def find_shapes(data: Data, refit: Fit) -> list[Leftover]:
@@ -135,7 +135,7 @@ def find_shapes(data: Data, refit: Fit) -> list[Leftover]:
     """
     best: dict[str, Leftover] = {}
     terms = [*dictionary(data.machine), *_patterns(data.machine)]
-    for found in _passing(data, refit, terms):
+    for found in _passing(data, refit, terms, responses(data, refit, terms)):
         best.setdefault(found.equation, found)
     return list(best.values())[:MOST_SHAPES]
 
@@ -163,14 +163,20 @@ def _order_shapes(order: int) -> dict[str, Callable[..., Array]]:
     }
 
 
-def shapes_instead(data: Data, final: Fit, without: Sequence[Fit]) -> list[Shape | None]:
+def shapes_instead(
+    data: Data, final: Fit, free: Array, without: Sequence[Fit]
+) -> list[Shape | None]:
     """Return for each model without one effect what explains most in the place of that.
 
-    A term counts that loses most of its own gain beside the effect, and gains it without: what is
-    missing besides is no matter of the name. None where no term does.
+    `free` are the final model's responses to the dictionary. A term counts that loses most of its
+    own gain beside the effect, and gains it without: what is missing besides is no matter of the
+    name. None where no term does.
     """
-    models = [final, *without]
-    beside, *gains = side_by_side(lambda one: _gains_of_shapes(data, one), models)
+    terms = dictionary(data.machine)
+    beside = _gains_of_shapes(final, free, terms)
+    gains = side_by_side(
+        lambda one: _gains_of_shapes(one, responses(data, one, terms), terms), without
+    )
     found = []
     for one, alone in zip(without, gains, strict=True):
         named = one.objective - final.objective
@@ -183,10 +189,10 @@ def shapes_instead(data: Data, final: Fit, without: Sequence[Fit]) -> list[Shape
     return found
 
 
-def _gains_of_shapes(data: Data, fitted: Fit) -> dict[tuple[str, str], float]:
+def _gains_of_shapes(
+    fitted: Fit, free: Array, terms: Sequence[Term]
+) -> dict[tuple[str, str], float]:
     """Gain of each term alone, and of each of the body along both of its axes."""
-    terms = dictionary(data.machine)
-    free = _responses(data, fitted, terms)
     places = {(term.equation, term.dependence): [k] for k, term in enumerate(terms)}
     for (equation, dependence), [k] in list(places.items()):
         if equation == "body/force_x":
@@ -200,16 +206,15 @@ def _gains_of_shapes(data: Data, fitted: Fit) -> dict[tuple[str, str], float]:
     return gains
 
 
-def _responses(data: Data, fitted: Fit, terms: Sequence[Term]) -> Array:
-    """What a unit of each term changes of the residuals (m, terms) beside what was fitted."""
+def responses(data: Data, fitted: Fit, terms: Sequence[Term]) -> Array:
+    """Return what a unit of each term changes of residuals (m, terms) beside what was fitted."""
     values = fitted.hypothesis.flat(data.believed)
     tracks = track_all(data.machine, data.runs, values, data.noise, keep_linear=True)
     columns = data.responses(tracks, lambda _, run, state: _pushes(state, run, terms))
     return free_of_fitted(fitted, columns)
 
 
-def _passing(data: Data, fitted: Fit, terms: Sequence[Term]) -> list[Leftover]:
-    free = _responses(data, fitted, terms)
+def _passing(data: Data, fitted: Fit, terms: Sequence[Term], free: Array) -> list[Leftover]:
     found = []
     for index, term in enumerate(terms):
         column = free[:, index : index + 1]

@@ -17,7 +17,7 @@ of then. In a closed loop commands answer chance too, and all is taken from then
 Nor does chance last. What bumps of the floor, sticky places or a ripple of the supply add need not
 go with any of these, but it goes on for a tenth of a second and more, where chance has faded. So
 the disturbances' own past is asked too, linearly. (Chance of a bandwidth of 10 Hz tells nothing of
-itself after 60 ms, of 3 Hz a tenth, of 2 Hz 0.22: find.py asks for more than that.)
+itself after 60 ms, of 3 Hz a tenth, of 1.6 Hz 0.3: find.py asks for more than that.)
 
 No term has to be guessed beforehand, so this finds hysteresis, products and thresholds too; it does
 not say what they are (unknown.py tries to). Beside effects that explain nearly everything a small
@@ -38,6 +38,7 @@ from omnislip.gap.answers import foreseen, lead_rows
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import Noise, track_all
 from omnislip.gap.recordings import Run
+from omnislip.gap.side_by_side import side_by_side
 
 Array = npt.NDArray[np.float64]
 
@@ -108,9 +109,9 @@ def predictable_shares(
     least = REST * np.sum(np.concatenate(there) ** 2, axis=0)
     least = np.maximum(least, SEEN * noise.coloured * len(y))
     folds = [range(first, len(names), FOLDS) for first in range(min(FOLDS, len(names)))]
-    found = []
-    for index, equation in enumerate(EQUATIONS):
-        target = y[:, index]
+
+    def shares_of(index: int) -> list[Predictable]:
+        target, found = y[:, index], []
         whole = np.bincount(owner, target**2, minlength=len(names))
         for known, predicted in ((x, _by_trees), (past[:, index], _by_line)):
             error = np.empty_like(target)
@@ -121,8 +122,12 @@ def predictable_shares(
             left = np.bincount(owner, error**2, minlength=len(names))
             share = float((whole.sum() - left.sum()) / max(whole.sum(), least[index], 1e-300))
             helped = int(np.sum(left < whole))
-            found.append(Predictable(equation, predicted is _by_line, share, helped, len(names)))
-    return sorted(found, key=lambda one: -one.share)
+            by_line = predicted is _by_line
+            found.append(Predictable(EQUATIONS[index], by_line, share, helped, len(names)))
+        return found
+
+    shares = side_by_side(shares_of, range(len(EQUATIONS)))
+    return sorted((one for own in shares for one in own), key=lambda one: -one.share)
 
 
 def _own_past(run: Run, disturbances: Array, rows: npt.NDArray[np.int64]) -> Array:

@@ -44,7 +44,14 @@ from omnislip.gap.inference import (
     solve_within,
     weigh,
 )
-from omnislip.gap.leftover import Leftover, Shape, find_leftover, shapes_instead
+from omnislip.gap.leftover import (
+    Leftover,
+    Shape,
+    dictionary,
+    find_leftover,
+    responses,
+    shapes_instead,
+)
 from omnislip.gap.machine import CURVE, PHASE, WHOLE, Candidate, Machine
 from omnislip.gap.metrics import improvement, replay_all
 from omnislip.gap.noise import Noise, RunawayError, track_all, tune_noise
@@ -85,10 +92,10 @@ AHEAD_GAIN = 50.0
 is worth looking one step ahead, and none is needless: another one that is missing blurs it."""
 BEAM, BEAM_REFITS = 3, 6
 RESAMPLES, LEAST_UNITS_TO_RESAMPLE = 1000, 4
-MOST_TUNINGS, AHEAD_TUNINGS, LEAST_TUNINGS, SETTLED = 6, 3, 2, 1.0
-"""Times that noise and model are fitted in turn, at most; the same to look one step ahead, for what
-passes settles again; times after which a fit that moves further than the one before ends it (a
-rough Q has many minima); and change of Q by what the fit moved that ends it."""
+MOST_TUNINGS, FEW_TUNINGS, LEAST_TUNINGS, SETTLED = 6, 3, 2, 1.0
+"""Times that noise and model are fitted in turn, at most; the same to look for pushes or one step
+ahead, for what passes settles again; times after which a fit that moves further than the one before
+ends it (a rough Q has many minima); and change of Q by what the fit moved that ends it."""
 PATCH_SCALES, PATCH_SHARE = (0.3, 0.5, 0.7, 0.9), 0.2
 """Grips of a patch to try; share of the best promise from which its edges are looked for: those of
 the screen are coarse, but explain more than a fifth of what the right ones do."""
@@ -200,6 +207,7 @@ def search(
     data, base = settle(machine, runs, start or believed_hypothesis(machine), noise)
     base_values = base.hypothesis
     current, trials = base, []
+    settled, compared = base, dict[int, _Compared]()
     limits, curves = None, set[str]()
     neighbours: dict[str, list[Candidate]] = {}
     for step in range(1, MOST_STEPS + 1):
@@ -244,10 +252,11 @@ def search(
         except RunawayError:
             trials = [_lost(trial) if trial.step == step else trial for trial in trials]
             break
+        settled = current
         data, current = _patch_settled(data, _extend(machine, data, current))
         current = _drop_needless(data, current, tried)
         chosen = current.hypothesis.effects
-        current = _swap(data, current, neighbours, progress)
+        current, compared = _swap(data, current, neighbours, progress)
         if _curves_in(current) != curves:  # else they have been compared
             data, current = _one_of_curve(data, current, neighbours, progress)
             curves = _curves_in(current)
@@ -255,16 +264,20 @@ def search(
         candidates = [c for c in (*candidates, *chosen) if c.name not in taken]
         if len(current.hypothesis.effects) == MOST_EFFECTS:
             break
-    progress("fitting the final model")
-    data, final = settle(machine, runs, current.hypothesis, data.noise, last=current.jacobian)
-    data, final = _patch_settled(data, _extend(machine, data, final))
-    final = _drop_needless(data, final, tried)
+    final = current
+    if current is not settled:
+        progress("fitting the final model")
+        data, final = settle(machine, runs, current.hypothesis, data.noise, last=current.jacobian)
+        data, final = _patch_settled(data, _extend(machine, data, final))
+        final = _drop_needless(data, final, tried)
     final = _whole_numbers(data, final)
-    data, final, compared = _likeliest(data, final, neighbours, tried, progress)
+    known = compared if final is settled else None
+    data, final, compared = _likeliest(data, final, neighbours, tried, progress, known)
     progress("looking for what no effect explains")
-    leftover = find_leftover(data, final)
+    free = responses(data, final, dictionary(machine))
+    leftover = find_leftover(data, final, free)
     ladder = _ladder(data, base_values, final)
-    selected = _select(data, final, compared)
+    selected = _select(data, final, free, compared)
     return Outcome(
         ladder[0], final, ladder, selected, tuple(trials), tuple(leftover), limits or {}, data
     )
@@ -288,7 +301,7 @@ def first_model(
     if like is None:
         for candidate in [c for c in machine.candidates() if c.effect == CURVE]:
             start = start.with_effect(candidate, [0.1])
-    data, fitted = settle(machine, runs, start, noise)
+    data, fitted = settle(machine, runs, start, noise, FEW_TUNINGS)
     return data.noise, fitted.hypothesis
 
 
@@ -486,6 +499,19 @@ def _refit(
 
     All of them quickly, fully those that may be the best and gain what is `asked`.
     """
+    fits = _refit_quickly(data, current, screened)
+    order = np.argsort([one.objective for one in fits])
+    best = current.objective - min((one.objective for one in fits), default=np.inf)
+    least = max(NEAR * best, NEAR_TO_FULL * asked)
+    hopeful = [k for k in order[:FULL_REFITS] if current.objective - fits[k].objective > least]
+    whole = side_by_side(lambda k: fit(data, fits[k].hypothesis, last=fits[k].jacobian), hopeful)
+    for k, one in zip(hopeful, whole, strict=True):
+        fits[k] = one
+    return fits
+
+
+def _refit_quickly(data: Data, current: Fit, screened: Sequence[Screened]) -> list[Fit]:
+    """Fit the effects' own parameters and, linearly, the others, each from the better start."""
     if not screened:
         return []
     offered = [
@@ -506,15 +532,7 @@ def _refit(
         _edges_moved(data, current, start, wanted) if one.promise >= hoped else start
         for one, start in zip(screened, starts, strict=True)
     ]
-    fits = fit_more(data, current, starts)
-    order = np.argsort([one.objective for one in fits])
-    best = current.objective - fits[order[0]].objective
-    least = max(NEAR * best, NEAR_TO_FULL * asked)
-    hopeful = [k for k in order[:FULL_REFITS] if current.objective - fits[k].objective > least]
-    whole = side_by_side(lambda k: fit(data, fits[k].hypothesis, last=fits[k].jacobian), hopeful)
-    for k, one in zip(hopeful, whole, strict=True):
-        fits[k] = one
-    return fits
+    return fit_more(data, current, starts)
 
 
 def _edges_moved(data: Data, current: Fit, start: Hypothesis, wanted: float = np.inf) -> Hypothesis:
@@ -772,7 +790,7 @@ class _Ahead:
         self._progress(f"step {self._step}: looking ahead from {candidate.name}")
         machine, noise = self._data.machine, self._data.noise
         try:
-            data, first = settle(machine, self._data.runs, start, noise, AHEAD_TUNINGS)
+            data, first = settle(machine, self._data.runs, start, noise, FEW_TUNINGS)
         except RunawayError:
             return None
         without = fit(data, self._current.hypothesis)
@@ -802,29 +820,34 @@ class _Ahead:
         worth = [
             s for s in screen(data, first.fitted, others)[:BEAM_REFITS] if s.promise > LEAST_PROMISE
         ]
-        tried = self._tried * BEAM
-        found = _try(data, first.fitted, worth, self._step, tried, self._progress)
-        found.sort(key=lambda pair: -pair[0].evidence.beyond_chance)
+        self._progress(f"step {self._step}: trying others beside {name}")
+        index, tried = len(first.fitted.hypothesis.effects), self._tried * BEAM
+        found = [
+            (one.candidate, fitted, weigh(data, first.fitted, fitted, index))
+            for one, fitted in zip(worth, _refit_quickly(data, first.fitted, worth), strict=True)
+        ]
+        found.sort(key=lambda one: -one[2].beyond_chance)
 
-        def judge(pair: tuple[Trial, Fit]) -> _Further:
-            both = _patch_again(data, fit(data, pair[1].hypothesis))
-            passes = _both_pass(data, first.without, both, tried)
-            reason = f"{name} and this pass together" if passes else beside(pair[0]).reason
-            trial = replace(pair[0], reason=reason, accepted=passes)
+        def judge(one: tuple[Candidate, Fit, Evidence]) -> _Further:
+            second, quick, evidence = one
+            both = _patch_again(data, fit(data, quick.hypothesis, last=quick.jacobian))
+            [check] = check_unseen(data, first.without, [both])
+            passes = _both_pass(data, first.without, both, check, tried)
+            reason = f"{name} and this {'pass' if passes else 'do not pass'} together"
+            chance, values = min(1.0, evidence.p_value * tried), both.hypothesis.values_of(-1)
+            checked = bool(check.voters.any())
+            trial = Trial(
+                self._step, second, values, evidence, chance, check.gain, checked, reason, passes
+            )
             return _Further(data, first.without, both, trial)
-
-        def beside(trial: Trial) -> Trial:
-            return replace(trial, reason=f"beside {name}: {trial.reason}", accepted=False)
 
         judged = side_by_side(judge, found[:BEAM])
         self.trials += [one.trial for one in judged]
-        self.trials += [beside(trial) for trial, _ in found[BEAM:]]
         return [one for one in judged if one.trial.accepted]
 
 
-def _both_pass(data: Data, without: Fit, both: Fit, tried: int) -> bool:
+def _both_pass(data: Data, without: Fit, both: Fit, check: Check, tried: int) -> bool:
     """Whether two effects together help runs that were not fitted, and none of them is chance."""
-    [check] = check_unseen(data, without, [both])
     if not check.helps:
         return False
     count, sure = len(without.hypothesis.effects), True
@@ -973,28 +996,39 @@ def _differs(candidate: Candidate, sizes: Array, evidence: Evidence) -> bool:
 
 
 def _extend(machine: Machine, data: Data, fitted: Fit) -> Fit:
-    """Refine the effects of the model where that gains more than chance.
+    """Refine the effects of the model where that gains more than chance, the best first.
 
     By the refinement, not by what the rest of the fit still had to gain. One that goes as far as it
     may describes something else that is missing.
     """
-    for effect in list(fitted.hypothesis.effects):
-        have = {p.label for p in effect.parameters}
-        for extension in machine.extensions(effect.effect):
-            if extension.parameters[0].label in have:
-                continue
-            one = Screened(0.0, extension, np.array([0.1]), np.array([np.inf]))
-            index = len(fitted.hypothesis.effects)
-            ordered = fitted.moved_last(fitted.hypothesis.place_of(effect.name))
-            [refined] = _refit(data, ordered, [one])
-            evidence = weigh(data, ordered, refined, index)
-            absent = _neutral(data, ordered.hypothesis, extension)
-            differs = _differs(extension, refined.hypothesis.values_of(-1) - absent, evidence)
-            bound = at_bound(refined, len(refined.hypothesis.x) - 1)
-            if evidence.p_value < ALPHA and differs and not bound:
-                joined = refined.hypothesis.last_two_joined()
-                fitted = replace(refined, hypothesis=joined)
+    for name in [effect.name for effect in fitted.hypothesis.effects]:
+        refined: Fit | None = fitted
+        while refined is not None:
+            fitted = refined
+            refined = _refined(machine, data, fitted, name)
     return fitted
+
+
+def _refined(machine: Machine, data: Data, fitted: Fit, name: str) -> Fit | None:
+    """Return the model with the best refinement of the effect `name`; None where none passes."""
+    place = fitted.hypothesis.place_of(name)
+    effect, index = fitted.hypothesis.effects[place], len(fitted.hypothesis.effects)
+    have = {p.label for p in effect.parameters}
+    offered = [
+        Screened(0.0, extension, np.array([0.1]), np.array([np.inf]))
+        for extension in machine.extensions(effect.effect)
+        if extension.parameters[0].label not in have
+    ]
+    ordered, passing = fitted.moved_last(place), []
+    for one, refined in zip(offered, _refit(data, ordered, offered), strict=True):
+        evidence = weigh(data, ordered, refined, index)
+        absent = _neutral(data, ordered.hypothesis, one.candidate)
+        differs = _differs(one.candidate, refined.hypothesis.values_of(-1) - absent, evidence)
+        bound = at_bound(refined, len(refined.hypothesis.x) - 1)
+        if evidence.p_value < ALPHA and differs and not bound:
+            passing.append(refined)
+    best = min(passing, key=lambda one: one.objective, default=None)
+    return None if best is None else replace(best, hypothesis=best.hypothesis.last_two_joined())
 
 
 def _whole_numbers(data: Data, fitted: Fit) -> Fit:
@@ -1065,24 +1099,27 @@ def _drop_needless(data: Data, fitted: Fit, tried: int) -> Fit:
 
 def _swap(
     data: Data, fitted: Fit, neighbours: dict[str, list[Candidate]], progress: Progress
-) -> Fit:
+) -> tuple[Fit, dict[int, "_Compared"]]:
     """Put another effect in the place of one where that explains clearly more, or as much simpler.
 
-    The first effect was chosen while the others were still missing.
+    The first effect was chosen while the others were still missing. Return also how the effects of
+    the model that is left compare, by their numbers; the newest has been compared by its choice.
     """
-    index = 0
-    while len(fitted.hypothesis.effects) > 1 and index < len(fitted.hypothesis.effects) - 1:
+    index, compared = 0, dict[int, _Compared]()
+    while index < len(fitted.hypothesis.effects) - 1:
         effect = fitted.hypothesis.effects[index]
-        progress(f"comparing {effect.name} with what could stand in its place")
-        own = _compared(data, fitted, index, neighbours)
+        if index not in compared:
+            others = range(index, len(fitted.hypothesis.effects) - 1)
+            compared |= _compare(data, fitted, others, neighbours, progress)
+        own = compared[index]
         better = [one for one in own.rivals if _takes_its_place(data, effect, own, one)]
         if better:
             best = min(better, key=lambda one: one.objective)
             _may_stand_for(neighbours, best.hypothesis.effects[-1].name, effect)
-            fitted = fit(data, best.hypothesis, last=best.jacobian)
+            fitted, compared = fit(data, best.hypothesis, last=best.jacobian), {}
         else:
             index += 1
-    return fitted
+    return fitted, compared
 
 
 def _one_of_curve(
@@ -1174,16 +1211,32 @@ class _Compared:
         return [(one.objective - final.objective) / self.evidence.inflation for one in self.rivals]
 
 
+def _compare(
+    data: Data,
+    fitted: Fit,
+    places: Sequence[int],
+    neighbours: dict[str, list[Candidate]],
+    progress: Progress,
+) -> dict[int, _Compared]:
+    """Compare effects of the model, by their numbers, with their nearest rivals."""
+    for index in places:
+        progress(f"comparing {fitted.hypothesis.effects[index].name} with its rivals")
+    found = side_by_side(lambda index: _compared(data, fitted, index, neighbours), places)
+    return dict(zip(places, found, strict=True))
+
+
 def _compare_all(
-    data: Data, fitted: Fit, neighbours: dict[str, list[Candidate]], progress: Progress
+    data: Data,
+    fitted: Fit,
+    neighbours: dict[str, list[Candidate]],
+    progress: Progress,
+    known: dict[int, _Compared] | None = None,
 ) -> list[_Compared]:
-    """Compare every effect of the model with its nearest rivals."""
-    effects = fitted.hypothesis.effects
-    for effect in effects:
-        progress(f"comparing {effect.name} with its rivals")
-    return side_by_side(
-        lambda index: _compared(data, fitted, index, neighbours), range(len(effects))
-    )
+    """Compare every effect of the model with its nearest rivals, beside what is known of that."""
+    places, known = range(len(fitted.hypothesis.effects)), known or {}
+    others = [index for index in places if index not in known]
+    compared = known | _compare(data, fitted, others, neighbours, progress)
+    return [compared[index] for index in places]
 
 
 def _compared(
@@ -1202,6 +1255,7 @@ def _likeliest(
     neighbours: dict[str, list[Candidate]],
     tried: int,
     progress: Progress,
+    known: dict[int, _Compared] | None = None,
 ) -> tuple[Data, Fit, list[_Compared]]:
     """Put another effect in the place of one where that is likelier, each model by its own noise.
 
@@ -1211,7 +1265,7 @@ def _likeliest(
     controller answers within rows (answers.py).
     """
     settled = set[str]()
-    compared = _compare_all(data, final, neighbours, progress)
+    compared = _compare_all(data, final, neighbours, progress, known)
     while not data.answers or data.machine.holds_commands:
         near = [
             (index, rival, lost)
@@ -1267,7 +1321,9 @@ def _may_stand_for(neighbours: dict[str, list[Candidate]], name: str, effect: Ca
     neighbours[name] = [effect, *others]
 
 
-def _select(data: Data, final: Fit, compared: Sequence[_Compared]) -> tuple[Selected, ...]:
+def _select(
+    data: Data, final: Fit, free: Array, compared: Sequence[_Compared]
+) -> tuple[Selected, ...]:
     """Judge every effect beside all others; strongest first, the friction curve last.
 
     A friction curve that is not the believed one is so common that it is rarely the news. What a
@@ -1275,7 +1331,7 @@ def _select(data: Data, final: Fit, compared: Sequence[_Compared]) -> tuple[Sele
     """
     selected = []
     named = [i for i, e in enumerate(final.hypothesis.effects) if e.effect != CURVE]
-    shapes = shapes_instead(data, final, [compared[i].without for i in named]) if named else []
+    shapes = shapes_instead(data, final, free, [compared[i].without for i in named])
     instead = dict(zip(named, shapes, strict=True))
     pairs = zip(final.hypothesis.effects, compared, strict=True)
     for index, (effect, one) in enumerate(pairs):
