@@ -215,7 +215,7 @@ def _finite(residuals: Array) -> Array:
 
 
 def _candidates(data: Data) -> list[Candidate]:
-    return [*data.machine.candidates(), *data.machine.floor_candidates(data.runs)]
+    return data.machine.candidates_for(data.runs)
 
 
 def _sizes(machine: Machine, one: Screened, amounts: Sequence[float]) -> Array:

@@ -409,7 +409,7 @@ def _lambda(data: Data, fitted: Fit, index: int) -> float:
 def _true_structure(
     machine: Machine, runs: Sequence[Run], truth: dict[str, Any]
 ) -> list[tuple[Candidate, list[float]]] | None:
-    candidates = [*machine.candidates(), *machine.floor_candidates(runs)] if runs else []
+    candidates = machine.candidates_for(runs) if runs else []
     known = {(c.effect, c.wheel): c for c in candidates}
     if not known:
         return None

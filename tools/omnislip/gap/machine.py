@@ -77,6 +77,8 @@ PATCH = "slippery_patch"
 """The effect that has a place in the floor."""
 POSE_X, LEAST_POSES = 5, 50
 PLACES = 25
+DROPOUT, SPEED_SHARES = "encoder_dropout", (0.25, 0.5, 0.7, 0.85, 0.95, 1.0)
+"""Speeds from which an encoder may lose counts, as shares of the fastest that it shows."""
 # A size that is infinite when absent (stiffness, limit) is sought up to so many typical ones: a
 # gear ten times stiffer shows in no log and would be integrated in tiny steps.
 MOST_OF_ABSENT = 10.0
@@ -202,6 +204,17 @@ class Machine:
             if entry["name"] not in NEEDS or NEEDS[entry["name"]] in self.model.values:
                 found += [self._candidate(entry, wheel) for wheel in wheels]
         return [candidate for candidate in found if self._has_starts(candidate)]
+
+    def candidates_for(self, runs: Sequence["Run"]) -> list[Candidate]:
+        """Return the candidates with starts from what the runs show: speeds, and places."""
+        found = [self._by_speed(c, runs) if c.effect == DROPOUT else c for c in self.candidates()]
+        return [*found, *self.floor_candidates(runs)]
+
+    def _by_speed(self, candidate: Candidate, runs: Sequence["Run"]) -> Candidate:
+        angle = (candidate.wheel or 1) - 1
+        speeds = [np.abs(np.diff(run.outputs[:, angle]) / np.diff(run.t_s)) for run in runs]
+        fastest = float(np.nanpercentile(np.concatenate(speeds), 99.9))
+        return replace(candidate, starts=tuple({1: share * fastest} for share in SPEED_SHARES))
 
     def floor_candidates(self, runs: Sequence["Run"]) -> list[Candidate]:
         """Return what depends on the place, with starts from the places that the pose shows."""
@@ -461,7 +474,6 @@ SHAPE_GRIDS = {
     ("roller_ripple", "rollers"): tuple(float(n) for n in range(6, 25)),
     ("grip_falloff", "speed_m_s"): (0.1, 0.3, 0.9),
     ("bristle_relaxation", "rolling"): (0.0, 1.0),
-    ("encoder_dropout", "speed_rad_s"): (50.0, 100.0, 150.0, 200.0, 300.0),
     ("current_limit", "limit_a"): (2.5, 5.0, 9.0, 15.0),
     ("shaft_compliance", "stiffness_nm_rad"): (30.0, 100.0, 300.0),
     ("cogging", "phase_rad"): (0.0, math.pi / 2),

@@ -106,9 +106,12 @@ FINE_PLACES, EDGE_HALVINGS, EDGE_STEPS = np.linspace(-1.0, 1.0, 33), 3, np.array
 halves, quarters and eighths of its spacing."""
 THRESHOLDS = {"encoder_dropout": 1}
 """Parameters that only the rows show in which a speed passes them."""
-THRESHOLD_FACTORS = tuple(2.0 ** (0.5**halving) for halving in range(1, 6))
+THRESHOLD_SPAN, THRESHOLD_PLACES, THRESHOLD_BEYOND = 2.0**0.5, 57, (0.6, 1.05)
+THRESHOLD_STEPS = tuple(1.035 ** (0.5**halving) for halving in range(1, 5))
 SIZE_FACTORS = (0.8, 1.0, 1.25)
-"""Steps of a threshold, ever smaller, and of the size that goes with it."""
+"""How far around a threshold its interval is sought; places over its starts and a share beyond, by
+3.5 % from one to the next, for its valley is as narrow; steps from the best; factors of the
+size."""
 CURVES = ("low_grip", "slip_stiffness_error", "grip_falloff")
 """What changes the friction over slip: where its curve is not the believed one, two of these can
 stand for one of them beside another curve."""
@@ -201,7 +204,7 @@ def search(
 
     From a first `noise` and believed keys `start` that fit better than the file's, or none.
     """
-    candidates = [*machine.candidates(), *machine.floor_candidates(runs)]
+    candidates = machine.candidates_for(runs)
     tried = sum(len(candidate.starts) for candidate in candidates)
     progress("fitting the believed model")
     data, base = settle(machine, runs, start or believed_hypothesis(machine), noise)
@@ -563,16 +566,19 @@ def _edges_moved(data: Data, current: Fit, start: Hypothesis, wanted: float = np
 
 
 def _threshold_moved(data: Data, current: Fit, start: Hypothesis, index: int) -> Hypothesis:
-    """Move the parameter `index` of the last effect by ever smaller factors."""
+    """Move the parameter `index` of the last effect to where the effect explains most."""
     candidate = start.effects[-1]
     low, high = ([getattr(p, end) for p in candidate.parameters] for end in ("low", "high"))
-    for factor in THRESHOLD_FACTORS:
+    shown = [own[index] for own in candidate.starts]
+    ends = np.array([min(shown), max(shown)]) * THRESHOLD_BEYOND
+    places = np.append(np.geomspace(*ends, THRESHOLD_PLACES), start.values_of(-1)[index])
+    for step in (None, *THRESHOLD_STEPS):
         now = start.values_of(-1)
         offered = []
-        for step in (1.0 / factor, 1.0, factor):
+        for place in places if step is None else now[index] * np.array([1 / step, 1.0, step]):
             for scale in SIZE_FACTORS:
                 sizes = now.copy()
-                sizes[index] *= step
+                sizes[index] = place
                 sizes[list(candidate.amplitudes)] *= scale
                 offered.append(current.hypothesis.with_effect(candidate, np.clip(sizes, low, high)))
         start = offered[int(np.argmin(costs_refitted(data, current, offered)))]
@@ -1369,8 +1375,8 @@ def _interval(data: Data, final: Fit, index: int, values: Array, evidence: Evide
             edge: (min(driven_m[0], x), max(driven_m[1], x)) for edge, x in enumerate(values[:2])
         }
     if effect.effect in THRESHOLDS:
-        number, factor = THRESHOLDS[effect.effect], THRESHOLD_FACTORS[0]
-        lasts = {number: (values[number] / factor, values[number] * factor)}
+        number = THRESHOLDS[effect.effect]
+        lasts = {number: (values[number] / THRESHOLD_SPAN, values[number] * THRESHOLD_SPAN)}
     for number, two in lasts.items():
         ends[number] = [_profile_end(data, final, index, number, last, limit) for last in two]
     return ends
