@@ -216,6 +216,17 @@ Recording rising(const Recording &held, const Array2 &rise) {
     return r;
 }
 
+Recording warmed(const Recording &cold, const Array1 &length_s, const Array2 &cold_current_a2) {
+    require(cold_current_a2.shape(0) == length_s.size() &&
+                cold_current_a2.shape(1) == RobotLayout::kMotors,
+            "squares of currents must be (rows, motors of a robot)");
+    Recording r = cold;
+    r.past_s.assign(length_s.data(), length_s.data() + length_s.size());
+    r.past_current_a2.assign(cold_current_a2.data(),
+                             cold_current_a2.data() + cold_current_a2.size());
+    return r;
+}
+
 Recording commanded(const Recording &other, const Array2 &command) {
     require(command.size() == other.command.size() &&
                 command.shape(0) == static_cast<std::size_t>(other.rows),
@@ -666,7 +677,10 @@ void bind_replay(nb::module_ &m) {
         .def_prop_ro("rows", [](const Recording &r) { return r.rows; })
         .def("rising", &rising, "rise"_a,
              "The same with commands that rise (rows, motors) evenly within each row.")
-        .def("commanded", &commanded, "command"_a, "The same with other commands (rows, motors).");
+        .def("commanded", &commanded, "command"_a, "The same with other commands (rows, motors).")
+        .def("warmed", &warmed, "length_s"_a, "cold_current_a2"_a,
+             "The same of a robot behind rows of these lengths (rows,) in which cold windings "
+             "would have let currents of these squares (rows, motors) through.");
     nb::class_<Track>(m, "Track", "Arrays are flat, row major: see replay.h for their layout.")
         .def_ro("log_likelihood", &Track::log_likelihood)
         .def_prop_ro("state", [](const Track &t) { return copy_to_numpy(t.state); })
@@ -748,6 +762,7 @@ NB_MODULE(_core, m) {
           "firmware_parameters"_a,
           "Nanoseconds per step of 0.5 ms of each model and per control tick of the firmware.");
     m.attr("SETTLE_S") = omnislip::kSettleTime_s;
+    m.attr("FASTEST_RATE_1_S") = omnislip::kFastestRate_1_s;
     omnislip::bind_replay(m);
     omnislip::bind_link(m);
 }

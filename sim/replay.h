@@ -49,6 +49,9 @@ struct Recording {
     std::vector<double> time_s, command, output;
     std::vector<double> initial_state;
     std::vector<double> rise{}; /* of the command within the row, around its mean; empty: held */
+    /* What warmed the motors before the first row: lengths of rows, and squares of the currents
+     * that cold windings would have let through [row][motor]. */
+    std::vector<double> past_s{}, past_current_a2{};
 };
 
 /* Noise of the filter: variances per second added to each state, variances of the outputs, the

@@ -216,6 +216,10 @@ class KernelOf final : public Kernel {
         S command[kMotors];
         broadcast(recording.command.data(), command, kMotors);
         omnislip::settle(loaded.plant, x, command, recording.time_s[0], in);
+        if constexpr (Plant::kKind == kRobot) {
+            loaded.plant.warm(recording.past_s.data(), recording.past_current_a2.data(),
+                              recording.past_s.size(), x);
+        }
     }
 
     /* x [kAll] from row k to the next. */

@@ -16,19 +16,12 @@ from omnislip.gap.machine import Machine
 from omnislip.gap.noise import tune_noise
 from omnislip.gap.recordings import make_run, unwrap_counts
 from omnislip.gap.search import believed_hypothesis, settle
-from omnislip.gap.truth import TruthCase, generate
+from omnislip.gap.truth import TruthCase
 from omnislip.gap.truth_effects import typical_effect
-from omnislip.log_file import Log
 from omnislip.model_file import NOMINAL_ROBOT, read_model
+from truth_bench import logs_of
 
 MACHINE = Machine(read_model(NOMINAL_ROBOT))
-
-
-def logs_of(case):
-    return [
-        Log(name, log["t_s"].to_numpy(), {c: log[c].to_numpy(float) for c in log.columns[1:]})
-        for name, log in zip(case.run_names(), generate(case)[0], strict=True)
-    ]
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ from axis_bench import Bench, make_log, make_machine
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from omnislip.gap.machine import Machine
-from omnislip.gap.noise import Noise, track_all
+from omnislip.gap.noise import Noise, track_all, tune_noise
 from omnislip.gap.recordings import (
     ROBOT_CHANNELS,
     make_run,
@@ -16,8 +16,10 @@ from omnislip.gap.recordings import (
     unwrap_counts,
     wheel_jacobian,
 )
+from omnislip.gap.truth import HiddenEffect, TruthCase
 from omnislip.log_file import POSE_COLUMNS, Log
 from omnislip.model_file import NOMINAL_ROBOT, read_model
+from truth_bench import logs_of
 
 ROBOT = Machine(read_model(NOMINAL_ROBOT))
 RAD_PER_COUNT = 2 * np.pi / 2000
@@ -254,3 +256,23 @@ def test_no_other_row_is_parted(duty):
 
 def test_a_log_of_three_rows_has_no_jump():
     assert make_run(ROBOT, driven(np.zeros((3, 4)))).jumped.size == 0
+
+
+def test_windings_are_as_warm_where_a_piece_begins_as_the_log_made_them():
+    """The second half of a log that heats its windings, with what was before it and without."""
+    coefficient = 0.004
+    effect = HiddenEffect("winding_heating", {"coefficient": coefficient}).as_dict()
+    case = TruthCase(seed=6, runs=1, run_duration_s=10.0, base_offset_sd=0.0, effects=(effect,))
+    [log] = logs_of(case)
+    half = len(log.t_s) // 2
+    values = ROBOT.believed.copy()
+    values[list(ROBOT.place("winding_heating", "coefficient", None))] = coefficient
+    noise = tune_noise(ROBOT, [make_run(ROBOT, log)], values)
+
+    def heat(run):
+        [track] = track_all(ROBOT, [run], values, noise)
+        return track.log_likelihood
+
+    later = {name: column[half:] for name, column in log.columns.items()}
+    warm, cold = make_run(ROBOT, log, half), make_run(ROBOT, Log("run", log.t_s[half:], later))
+    assert heat(warm) > heat(cold) + 100.0

@@ -10,16 +10,18 @@ from omnislip.log_file import Log
 LAGS = ("actuation_delay", "driver_lag", "armature_inductance")
 
 
-def runs_of(machine: Machine, case: TruthCase) -> list[Run]:
-    """The logs of a case as runs of the believed robot."""
+def logs_of(case: TruthCase) -> list[Log]:
+    """The logs of a case."""
     logs, _ = generate(case)
     return [
-        make_run(
-            machine,
-            Log(name, log["t_s"].to_numpy(), {c: log[c].to_numpy(float) for c in log.columns[1:]}),
-        )
+        Log(name, log["t_s"].to_numpy(), {c: log[c].to_numpy(float) for c in log.columns[1:]})
         for name, log in zip(case.run_names(), logs, strict=True)
     ]
+
+
+def runs_of(machine: Machine, case: TruthCase) -> list[Run]:
+    """The logs of a case as runs of the believed robot."""
+    return [make_run(machine, log) for log in logs_of(case)]
 
 
 def promises(data: Data, names: tuple[str, ...] = LAGS) -> dict[str, float]:

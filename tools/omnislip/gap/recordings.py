@@ -124,6 +124,8 @@ def make_run(machine: Machine, log: Log, begin: int = 0, end: int | None = None)
         state = np.array([speed, outputs[0, 0]])
         channels, scale = (position,), np.ones(1)
     recording = machine.engine.recording(t_s, command, outputs, state)
+    if machine.kind == "robot" and begin > 0:
+        recording = recording.warmed(*_past_currents(machine, log, begin))
     # The engine reads a blank command as "drive off"; for everybody else that is no command.
     off = np.isnan(command[:, 0])
     run = Run(
@@ -255,6 +257,20 @@ def _robot_signals(
     ]
     outputs = np.stack([*angles, *others, *electric], axis=1)
     return np.ascontiguousarray(command), outputs, _first_state(machine, t_s, outputs)
+
+
+def _past_currents(machine: Machine, log: Log, begin: int) -> tuple[Array, Array]:
+    """Return lengths (rows,) of a log's rows before `begin` and squares (rows, 4) of the currents.
+
+    As the believed motors would let them through when cold: windings are warm where a piece begins.
+    """
+    command, outputs, _ = _robot_signals(machine, log, slice(0, begin + 1), log.t_s[: begin + 1])
+    values, length_s = machine.model.values, np.diff(log.t_s[: begin + 1])
+    speed = np.diff(outputs[:, :4], axis=0) / length_s[:, None]
+    driving_v = float(values["motor.supply_v"]) * command[:-1]
+    driving_v = driving_v - float(values["motor.back_emf_constant_v_s_rad"]) * speed
+    current_a = driving_v / float(values["motor.resistance_ohm"])
+    return length_s, np.nan_to_num(current_a) ** 2
 
 
 def _unwrap_sampled(angle_rad: Array) -> Array:
