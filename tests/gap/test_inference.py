@@ -41,9 +41,14 @@ from omnislip.gap.inference import (
     prior_penalty,
     weigh,
 )
-from omnislip.gap.noise import track_all, tune_noise
+from omnislip.gap.machine import Machine
+from omnislip.gap.noise import RunawayError, track_all, tune_noise
 from omnislip.gap.recordings import make_run
+from omnislip.gap.search import believed_hypothesis
+from omnislip.gap.truth import TruthCase
+from omnislip.model_file import NOMINAL_ROBOT, read_model
 from scipy.stats import binom, chi2, kstest
+from truth_bench import runs_of
 
 SEEDS = 60
 CONFIDENCE = 1.959964
@@ -167,6 +172,21 @@ def test_what_is_far_off_is_bounded_in_deviations_of_these_residuals(exact):
     dragged = without_effects(exact).with_effect(drag, [1e3]).flat(exact.believed)
     far = np.abs(data.residuals(dragged[None])).max()
     assert 1.1 * DIVERGED / data.scale < far <= DIVERGED
+
+
+def test_what_is_too_stiff_to_be_followed_is_far_off():
+    """Beside a set that is not; the filter itself refuses it by one line."""
+    robot = Machine(read_model(NOMINAL_ROBOT))
+    runs = runs_of(robot, TruthCase(seed=3, runs=1, run_duration_s=1.0))
+    data = Data(robot, runs, tune_noise(robot, runs, robot.believed), believed_hypothesis(robot))
+    stiff = robot.believed.copy()
+    [place] = next(p for p in robot.base_parameters() if p.label == "motor.inertia_kg_m2").places
+    stiff[place] = 1e-12
+    near, far = data.residuals(np.stack([robot.believed, stiff]))
+    assert np.abs(near).max() < 10.0
+    np.testing.assert_allclose(far, DIVERGED, rtol=1e-3)  # less what rows hide
+    with pytest.raises(RunawayError, match="too stiff"):
+        track_all(robot, runs, stiff, data.noise)
 
 
 def test_track_of_the_true_model_is_the_most_likely(exact):

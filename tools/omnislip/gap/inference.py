@@ -372,11 +372,11 @@ class Data:
     ) -> Array:
         """Those of models (models, m); run k by the sets (models, parameters) of owners[k]."""
         edges = np.concatenate([[0], np.cumsum(self._sizes())])
-        residuals = np.empty((len(sets), edges[-1]))
+        residuals = np.full((len(sets), edges[-1]), np.nan)
         for owner in range(sets.shape[1]):
             runs = np.flatnonzero(owners == owner)
             order = self._alike(sets[:, owner])
-            for first in range(0, len(sets), BATCH):
+            for first in range(0, len(order), BATCH):
                 batch = order[first : first + BATCH]
                 arrays = self.machine.engine.innovations(
                     [recordings[k] for k in runs],
@@ -399,9 +399,11 @@ class Data:
 
         The engine follows sets in groups by the shortest steps of any: one stiff gear would slow
         down a group, and steps that differ between a model and its neighbours are no derivative.
+        Without sets that are too stiff to be followed.
         """
-        rates = [self.machine.engine.fastest_rate_1_s(values) for values in sets]
-        return np.argsort(np.maximum(rates, self._least_rate_1_s), kind="stable")
+        rates = np.array([self.machine.engine.fastest_rate_1_s(values) for values in sets])
+        order = np.argsort(np.maximum(rates, self._least_rate_1_s), kind="stable")
+        return order[rates[order] <= _core.FASTEST_RATE_1_S]
 
     def _kept_only(self, columns: Array) -> Array:
         """Rows that count of columns (all rows * outputs, n); 0 where these diverge."""

@@ -106,7 +106,16 @@ def track_recordings(
     step_s: float,
     keep_linear: bool = False,
 ) -> list[_core.Track]:
-    """Run the filter of one parameter set over recordings, with steps of at most `step_s`."""
+    """Run the filter of one parameter set over recordings, with steps of at most `step_s`.
+
+    RunawayError for a set that is too stiff to be followed.
+    """
+    rate_1_s = machine.engine.fastest_rate_1_s(values)
+    if not rate_1_s <= _core.FASTEST_RATE_1_S:
+        raise RunawayError(
+            f"the model is too stiff to simulate: its fastest rate is {rate_1_s:.1e} 1/s, at most "
+            f"{_core.FASTEST_RATE_1_S:.0e}; check masses, inertias, slip_stiffness_s_m and mu_drive"
+        )
     return machine.engine.track(
         list(recordings),
         values,

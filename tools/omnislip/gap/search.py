@@ -943,7 +943,10 @@ def _replays_better(data: Data, without: Fit, with_effect: Fit, check: Check, su
     replays = []
     for unit in np.flatnonzero(check.judges):
         runs = [data.runs[k] for k in np.flatnonzero(data.units == unit)]
-        replays += replay_all(data.machine, runs, data.noise, [one[unit] for one in sets])
+        try:
+            replays += replay_all(data.machine, runs, data.noise, [one[unit] for one in sets])
+        except RunawayError:
+            return False
     if any(np.any(np.isfinite(r.errors[0]) & ~np.isfinite(r.errors[1])) for r in replays):
         return False  # it runs away
     fall, between = improvement(replays)
