@@ -230,6 +230,17 @@ def test_what_is_refused_is_judged_again_by_the_noise_that_is_left_beside_it(
     assert taken.reason.startswith("by the noise that is left beside it: ")
 
 
+@pytest.mark.parametrize(("fitted_n", "factor"), [(0.7, 2.0), (1.5, 1.0)])
+def test_a_size_that_was_pulled_is_looked_for_further_away(machine, fitted_n, factor):
+    """By the likelihood of the model's own filter; the keys have taken 0.5 N of 2.0 N."""
+    runs = make_runs(machine, Bench(coulomb_n=2.0), range(2))
+    data, current = settle(machine, runs, believed_hypothesis(machine))
+    ahead = search_module._Ahead(data, current, machine.candidates(), 1, 100, silent)
+    [friction] = [c for c in machine.candidates() if c.effect == "coulomb_friction"]
+    larger = ahead._larger(friction, current.hypothesis.with_effect(friction, [fitted_n]))
+    assert larger.values_of(-1) == pytest.approx([factor * fitted_n])
+
+
 def test_what_shows_beside_the_newest_effect_is_a_rival_of_the_older_one(machine, monkeypatch):
     """With one rival each the older effect has two: its own and that of the newest."""
     swap, offered = search_module._swap, []

@@ -91,6 +91,8 @@ AHEAD_GAIN = 50.0
 """Gain beyond chance, twice what chance reaches over everything tried, from which a refused effect
 is worth looking one step ahead, and none is needless: another one that is missing blurs it."""
 BEAM, BEAM_REFITS = 3, 6
+PULLED_BY = (1.5, 2.0, 3.0)
+"""How much larger an effect may be than noise that covers it lets it seem."""
 RESAMPLES, LEAST_UNITS_TO_RESAMPLE = 1000, 4
 MOST_TUNINGS, FEW_TUNINGS, LEAST_TUNINGS, SETTLED = 6, 3, 2, 1.0
 """Times that noise and model are fitted in turn, at most; the same to look for pushes or one step
@@ -722,7 +724,8 @@ class _Ahead:
     ) -> _Further | None:
         """Return the best model with one of `refused`, or with one of them and a second effect.
 
-        What only promised much is judged alone: among pairs of such chance has too much choice.
+        What promised or gained much, but from few blocks, is judged alone: among pairs of such
+        chance has too much choice.
         Pairs with a weaker first effect are tried only where none with a stronger one passes.
         """
         clear = [pair for pair in refused if pair[0].evidence.beyond_chance > AHEAD_GAIN]
@@ -730,10 +733,15 @@ class _Ahead:
         rest = {pair[0].candidate.name: pair for pair in refused}
         for trial, _ in clear:
             rest.pop(trial.candidate.name, None)
-        promised = [s.candidate.name for s in screened if s.promise > SURE_GAIN]
-        covered = [rest[name] for name in promised if name in rest][:BEAM]
+        promised = {s.candidate.name: s.promise for s in screened}
+        hopes = {name: max(promised.get(name, 0.0), rest[name][0].evidence.gain) for name in rest}
+        covered = [rest[name] for name in sorted(hopes, key=lambda name: -hopes[name])[:BEAM]]
+        covered = [pair for pair in covered if hopes[pair[0].candidate.name] > SURE_GAIN]
         judged = side_by_side(
-            lambda pair: self._by_its_noise(pair[0].candidate, pair[1].hypothesis), clear + covered
+            lambda pair: self._by_its_noise(
+                pair[0].candidate, self._larger(pair[0].candidate, pair[1].hypothesis)
+            ),
+            clear + covered,
         )
         followed = [one for one in judged if one is not None]
         self.trials += [one.trial for one in followed]
@@ -764,20 +772,15 @@ class _Ahead:
         def delayed(rows: float) -> Hypothesis:
             return current.with_effect(candidate, [rows * row_s])
 
-        def likelihood(hypothesis: Hypothesis) -> float:
-            values = hypothesis.flat(self._data.believed)
-            tracks = track_all(self._data.machine, self._data.runs, values, self._data.noise)
-            return float(np.nan_to_num(sum(t.log_likelihood for t in tracks), nan=-np.inf))
-
         most = candidate.parameters[0].high / row_s
-        found = {rows: likelihood(delayed(rows)) for rows in FAR_DELAYS_ROWS if rows <= most}
-        least = likelihood(accepted.hypothesis if accepted else current) + SURE_GAIN / 2
+        found = {rows: self._likelihood(delayed(rows)) for rows in FAR_DELAYS_ROWS if rows <= most}
+        least = self._likelihood(accepted.hypothesis if accepted else current) + SURE_GAIN / 2
         if max(found.values(), default=-np.inf) < least:
             return None
         for step in FAR_STEPS_ROWS:
             best = max(found, key=found.__getitem__)
             near = [rows for rows in (best - step, best + step) if rows <= most]
-            found |= {rows: likelihood(delayed(rows)) for rows in near if rows not in found}
+            found |= {rows: self._likelihood(delayed(rows)) for rows in near if rows not in found}
         best = max(found, key=found.__getitem__)
         if best < nearest:
             return None
@@ -787,6 +790,35 @@ class _Ahead:
         self.trials.append(first.trial)
         [delay_s] = first.fitted.hypothesis.values_of(len(current.effects))
         return first if first.trial.accepted and delay_s >= nearest * row_s else None
+
+    def _likelihood(self, hypothesis: Hypothesis) -> float:
+        """Logarithm of that of a model's own filter, by the noise that is known."""
+        values = hypothesis.flat(self._data.believed)
+        try:
+            tracks = track_all(self._data.machine, self._data.runs, values, self._data.noise)
+        except RunawayError:
+            return -np.inf
+        return float(np.nan_to_num(sum(t.log_likelihood for t in tracks), nan=-np.inf))
+
+    def _larger(self, candidate: Candidate, start: Hypothesis) -> Hypothesis:
+        """Return a model whose last effect was fitted with it of the likeliest of some sizes.
+
+        From a size that was pulled settling creeps: play of 5 mrad for 13 went to 8 in six rounds.
+        """
+        sizes, absent = (
+            start.values_of(-1),
+            _neutral(self._data, self._current.hypothesis, candidate),
+        )
+        amplitudes = [i for i in candidate.amplitudes if np.isfinite(absent[i])]
+        low, high = ([getattr(p, end) for p in candidate.parameters] for end in ("low", "high"))
+        offered = [start]
+        for factor in PULLED_BY if amplitudes else ():
+            larger = sizes.copy()
+            larger[amplitudes] += (factor - 1.0) * (sizes - absent)[amplitudes]
+            offered.append(
+                self._current.hypothesis.with_effect(candidate, np.clip(larger, low, high))
+            )
+        return max(offered, key=self._likelihood) if len(offered) > 1 else start
 
     def _by_its_noise(self, candidate: Candidate, start: Hypothesis) -> _Further | None:
         """Judge a candidate by the noise that fits it; None where its own filter loses the robot.
