@@ -50,6 +50,9 @@ FINE_SECANT = 0.1
 number, some hundreds."""
 ALIKE = 4.0
 """Factor within which a fine secant has the size of the one before it, if there is a derivative."""
+STIFFEST_1_S, STIFFER = 2e4, 2.0
+"""Rate of a model up to which it is followed, or times that of the model beside which it is tried:
+a gear so stiff is rigid to any log, and some are a thousand times as slow to follow."""
 STEPS_ALIKE = 1.02
 """Sets faster than the first by up to this take its steps: what steps change is no derivative."""
 DIVERGED = 1e3
@@ -257,7 +260,9 @@ class Data:
         self.units = np.array([units.index(run.unit) for run in self.runs])
         """Number of the unit of each run (runs,)."""
         self.scale = 1.0
-        self._least_rate_1_s = STEPS_ALIKE * machine.engine.fastest_rate_1_s(values)
+        rate_1_s = machine.engine.fastest_rate_1_s(values)
+        self._least_rate_1_s = STEPS_ALIKE * rate_1_s
+        self._most_rate_1_s = max(STIFFEST_1_S, STIFFER * rate_1_s)
         news = news_of(machine, runs, self.tracks)
         self.feigned_gain = news.feigned_gain
         """Gain beyond chance below which an effect may be a controller's answer."""
@@ -399,11 +404,12 @@ class Data:
 
         The engine follows sets in groups by the shortest steps of any: one stiff gear would slow
         down a group, and steps that differ between a model and its neighbours are no derivative.
-        Without sets that are too stiff to be followed.
+        Without sets that are stiffer than worth following.
         """
         rates = np.array([self.machine.engine.fastest_rate_1_s(values) for values in sets])
         order = np.argsort(np.maximum(rates, self._least_rate_1_s), kind="stable")
-        return order[rates[order] <= _core.FASTEST_RATE_1_S]
+        most_1_s = min(self._most_rate_1_s, _core.FASTEST_RATE_1_S)
+        return order[rates[order] <= most_1_s]
 
     def _kept_only(self, columns: Array) -> Array:
         """Rows that count of columns (all rows * outputs, n); 0 where these diverge."""
