@@ -196,11 +196,9 @@ bool jumps(const double *command) {
 /* The commands of a log up to `row`, from each time to the next, the first also before: what the
  * drivers of a plant see on average from begin to end, at once if they are the same. A command is
  * held or, if it may rise, rises evenly by `rise` around its mean (null: all are held). */
-template <class Plant>
+template <class Plant, bool kMayRise = false>
 class LoggedCommands {
   public:
-    static constexpr bool kMayRise = Plant::kKind == kRobot;
-
     LoggedCommands(const Plant &plant, const double *time_s, const double *command, long row,
                    const double *rise = nullptr)
         : plant_(plant), time_s_(time_s), command_(command), row_(row), rise_(rise) {}
@@ -218,33 +216,6 @@ class LoggedCommands {
                 });
             }
         }
-    }
-
-    /* By how much the command rises from begin to end around its mean, in the sense of its halves'
-     * means; false where it is held in all lanes. */
-    template <class S>
-    bool rise(double begin_s, double end_s, S *rise) const {
-        if (rise_ == nullptr && !plant_.delays())
-            return false;
-        bool rises = false;
-        for (int i = 0; i < Plant::kMotors; ++i) {
-            if (plant_.delays()) {
-                const S &delay_s = plant_.constants().delay_s[i];
-                const double middle_s = 0.5 * (begin_s + end_s);
-                rise[i] = from_lanes<S>([&](int k) {
-                    const double late_s = lane(delay_s, k);
-                    return 2.0 * (mean(i, middle_s - late_s, end_s - late_s) -
-                                  mean(i, begin_s - late_s, middle_s - late_s));
-                });
-                rises = true;
-            } else {
-                const double own =
-                    in_row(i, row_, end_s, end_s) - in_row(i, row_, begin_s, begin_s);
-                rise[i] = S(own);
-                rises = rises || own != 0.0;
-            }
-        }
-        return rises;
     }
 
     /* The step to take in the row. What a jump of the duty (the begin of the log is one) sets off -
@@ -280,7 +251,7 @@ class LoggedCommands {
     /* Mean command from begin to end, both within the row. */
     double in_row(int motor, long row, double begin_s, double end_s) const {
         const long at = row * Plant::kMotors + motor;
-        if (rise_ == nullptr || rise_[at] == 0.0)
+        if (!kMayRise || rise_ == nullptr || rise_[at] == 0.0)
             return command_[at];
         const double length_s = time_s_[row + 1] - time_s_[row];
         const double middle_s = 0.5 * (begin_s + end_s) - time_s_[row];

@@ -96,7 +96,7 @@ class KernelOf final : public Kernel {
         }
     }
 
-    using Commands = LoggedCommands<Plant>;
+    using Commands = LoggedCommands<Plant, true>;
 
     static Commands logged(const Plant &plant, const Recording &recording, long row) {
         const double *rise = recording.rise.empty() ? nullptr : recording.rise.data();

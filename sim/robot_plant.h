@@ -99,19 +99,16 @@ struct RobotInternals {
 
 inline namespace OMNISLIP_INSTRUCTION_SET {
 
-/* What stays during one step: the duty on average over it and, where it rises, its rate; a heading
- * from which the robot turns little; of the memory how lags relax. */
+/* What stays during one step: the duty on average over it, a heading from which the robot turns
+ * little; of the memory how lags relax. */
 template <class S>
 struct RobotStep {
     S duty[4];
-    bool rises;
-    double middle_s; /* where a duty that rises is the average */
-    S rise_1_s[4];
     NearbyAngle<S> heading;
     /* only with memory: */
     double length_s, inverse_s; /* inverse 0 for an instant, in which memory stands still */
     S current_a[4], grip[4];    /* at the begin */
-    S duty_rate_1_s[4], driver_left[4];
+    S duty_rate_1_s[4];
     S coil_gained[4], coil_left[4];
 };
 
@@ -155,35 +152,9 @@ class RobotPlant : public RobotLayout {
     /* Driver and armature over a step from x [kAll] under a constant duty. */
     void begin_step(const S *x, const S *duty, double length_s, Step &step) const {
         command(duty, step.duty);
-        step.rises = false;
         step.heading.follow(x[kPose + 2]);
         if (remembers_)
             recall(x, length_s, step);
-    }
-
-    /* Lets the duty of a step that has begun rise by `rise` around its mean `duty`; behind a lag by
-     * what that lets through at once. */
-    void let_rise(const S *duty, const S *rise, double middle_s, double length_s,
-                  Step &step) const {
-        S first[4], last[4];
-        for (int i = 0; i < 4; ++i) {
-            first[i] = duty[i] - S(0.5) * rise[i];
-            last[i] = duty[i] + S(0.5) * rise[i];
-        }
-        if (active_.use(kCommand)) {
-            command(first, first);
-            command(last, last);
-            for (int i = 0; i < 4 && !lags_; ++i) /* what bends changes the mean (Simpson) */
-                step.duty[i] =
-                    step.duty[i] + S(1.0 / 6.0) * (first[i] + last[i] - S(2.0) * step.duty[i]);
-        }
-        step.rises = true;
-        step.middle_s = middle_s;
-        for (int i = 0; i < 4; ++i) {
-            step.rise_1_s[i] = (last[i] - first[i]) * S(1.0 / length_s);
-            if (lags_)
-                step.rise_1_s[i] = step.rise_1_s[i] * (S(1.0) - step.driver_left[i]);
-        }
     }
 
     /* Warms the windings of x by n rows before; resistance times 1 + h lets 1 / (1 + h) through. */
@@ -392,7 +363,6 @@ class RobotPlant : public RobotLayout {
             const S ahead = step.duty[i] - begin[kDrivenDuty];
             step.duty_rate_1_s[i] = driver.gained * S(step.inverse_s) * ahead;
             step.duty[i] = step.duty[i] - driver.left * ahead;
-            step.driver_left[i] = driver.left;
             const auto coil =
                 inductive_ ? Relaxation<S>::over(S(length_s), c_.inductance_h[i] * conductance_s[i])
                            : Relaxation<S>::at_once(length_s);
@@ -417,7 +387,7 @@ class RobotPlant : public RobotLayout {
         const bool settles = step.length_s == kForever_s;
         S steady_a[4];
         for (int i = 0; i < 4; i += kLot)
-            put(steady_current_a(i, x + kSpeed, step.duty, in), steady_a + i);
+            put(steady_current_a(i, x + kSpeed, step, in), steady_a + i);
         for (int i = 0; i < 4; ++i) {
             const S rate_1_s = step.coil_gained[i] * S(step.inverse_s);
             const S heating =
@@ -506,10 +476,7 @@ class RobotPlant : public RobotLayout {
         }
         for (int i = 0; i < 4; i += kLot)
             put(warm_conductance_s(x, i), in.conductance_s + i);
-        S duty[4];
-        for (int i = 0; i < 4; i += kLot)
-            put(duty_at(i, time_s, step), duty + i);
-        balance_bus(speed, step, duty, supply.open_circuit_v, in);
+        balance_bus(speed, step, supply.open_circuit_v, in);
         for (int i = 0; i < 4; i += kLot) {
             put(lot(c_.torque_constant_nm_a + i) * lot(in.current_a + i), in.motor_torque_nm + i);
             put(-lot(c_.viscous_friction_nm_s + i) * lot(speed + i), in.friction_torque_nm + i);
@@ -522,17 +489,12 @@ class RobotPlant : public RobotLayout {
         }
     }
 
-    /* of the wheels from i on */
-    static Lot duty_at(int i, const S &time_s, const Step &step) {
-        const Lot mean = lot(step.duty + i);
-        return step.rises ? mean + Lot(time_s - S(step.middle_s)) * lot(step.rise_1_s + i) : mean;
-    }
-
     /* V = V0 - r sum(i d). With i linear in V the balance has a closed form. A limit or a
      * freewheeling driver bends i(V) at corners: Newton's method with the slope of the piece. */
-    void balance_bus(const S *speed, const Step &step, const S *driven, const S &open_circuit_v,
+    void balance_bus(const S *speed, const Step &step, const S &open_circuit_v,
                      RobotInternals<S> &in) const {
         const S &r = c_.source_resistance_ohm;
+        const S *driven = step.duty;
         in.bus_v = open_circuit_v;
         if (bus_sags_) {
             S conductance = S(0.0), returned = S(0.0);
@@ -547,7 +509,7 @@ class RobotPlant : public RobotLayout {
             }
             in.bus_v = (open_circuit_v + r * returned) / (S(1.0) + r * conductance);
         }
-        armature(speed, step, driven, in);
+        armature(speed, step, in);
         if (!active_.use(kCurrent))
             return;
         limit_currents(speed, driven, in);
@@ -557,11 +519,11 @@ class RobotPlant : public RobotLayout {
             const S probe_v = S(1e-3), bus_v = in.bus_v;
             const S drawn = drawn_current(driven, in);
             in.bus_v = bus_v + probe_v;
-            armature(speed, step, driven, in);
+            armature(speed, step, in);
             limit_currents(speed, driven, in);
             const S slope = (drawn_current(driven, in) - drawn) / probe_v;
             in.bus_v = bus_v + (open_circuit_v - r * drawn - bus_v) / (S(1.0) + r * slope);
-            armature(speed, step, driven, in);
+            armature(speed, step, in);
             limit_currents(speed, driven, in);
         }
     }
@@ -573,9 +535,9 @@ class RobotPlant : public RobotLayout {
         return drawn;
     }
 
-    void armature(const S *speed, const Step &step, const S *driven, RobotInternals<S> &in) const {
+    void armature(const S *speed, const Step &step, RobotInternals<S> &in) const {
         for (int i = 0; i < 4; i += kLot) {
-            const Lot steady_a = steady_current_a(i, speed, driven, in);
+            const Lot steady_a = steady_current_a(i, speed, step, in);
             if (inductive_) {
                 const Lot behind_a = lot(step.current_a + i) - steady_a;
                 put(steady_a + lot(step.coil_left + i) * behind_a, in.current_a + i);
@@ -586,10 +548,10 @@ class RobotPlant : public RobotLayout {
     }
 
     /* (8) of the wheels from i on */
-    Lot steady_current_a(int i, const S *speed, const S *driven,
+    Lot steady_current_a(int i, const S *speed, const Step &step,
                          const RobotInternals<S> &in) const {
         const Lot motion_v = lot(c_.back_emf_constant_v_s_rad + i) * lot(speed + i);
-        return lot(in.conductance_s + i) * (Lot(in.bus_v) * lot(driven + i) - motion_v);
+        return lot(in.conductance_s + i) * (Lot(in.bus_v) * lot(step.duty + i) - motion_v);
     }
 
     void limit_currents(const S *speed, const S *driven, RobotInternals<S> &in) const {

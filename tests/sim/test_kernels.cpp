@@ -240,65 +240,6 @@ static void step_goes_on_from_a_look_as_from_none(void) {
     }
 }
 
-/* A log of a duty that goes smoothly to and fro: rows of 5 ms with its mean and how far it rises.
- */
-static Recording smoothly_driven(void) {
-    Recording r;
-    r.rows = 41;
-    const double row_s = 5e-3, slow_1_s = 25.0;
-    for (int k = 0; k < r.rows; ++k) {
-        const double begin = slow_1_s * row_s * k, end = begin + slow_1_s * row_s;
-        r.time_s.push_back(row_s * k);
-        for (int i = 0; i < 4; ++i) {
-            const double height = 0.1 * (i + 1);
-            r.command.push_back(height * (std::cos(begin) - std::cos(end)) / (end - begin));
-            r.rise.push_back(height * (std::sin(end) - std::sin(begin)));
-        }
-    }
-    return r;
-}
-
-/* Largest error of the pose after that log, from that with steps so short that none matters. */
-static double missed_way(const RobotModel &model, double step_s) {
-    const Recording r = smoothly_driven();
-    Robot robot[2] = {Robot(model), Robot(model)};
-    for (std::size_t k = 0; k + 1 < r.time_s.size(); ++k) {
-        for (const int fine : {0, 1}) {
-            const LoggedCommands<RobotPlant<double>> commands(robot[fine].plant, r.time_s.data(),
-                                                              r.command.data(),
-                                                              static_cast<long>(k), r.rise.data());
-            advance(robot[fine].plant, robot[fine].x.data(), commands, r.time_s[k],
-                    r.time_s[k + 1] - r.time_s[k], fine == 1 ? 2e-5 : step_s, 0.0, robot[fine].in);
-        }
-    }
-    double most = 0.0;
-    for (int c = RobotLayout::kPose; c < RobotLayout::kPose + 3; ++c)
-        most = std::max(most, std::abs(robot[0].x[c] - robot[1].x[c]));
-    return most;
-}
-
-static void rising_duty_is_followed_to_the_order_of_the_rule(void) {
-    RobotModel bent, slow;
-    bent.effect("driver_nonlinearity", "cubic", 0.3);
-    slow.effect("driver_lag", "time_constant_s", 3e-3);
-    for (const RobotModel &model : {RobotModel(), bent}) {
-        const double order = std::log2(missed_way(model, 1.25e-3) / missed_way(model, 0.625e-3));
-        TEST_ASSERT_TRUE(order > 3.5);
-    }
-    /* what remembers, to the second */
-    TEST_ASSERT_TRUE(missed_way(slow, 1.25e-3) / missed_way(slow, 0.625e-3) > 3.0);
-}
-
-/* A lag and a delay that shrink to nothing leave what is without them. */
-static void rising_duty_behind_no_lag_is_that_without_one(void) {
-    const double without = missed_way(RobotModel(), 2.5e-3);
-    RobotModel lagging, late;
-    lagging.effect("driver_lag", "time_constant_s", 1e-9);
-    late.effect("actuation_delay", "delay_s", 1e-9);
-    for (const RobotModel &model : {lagging, late})
-        TEST_ASSERT_DOUBLE_WITHIN(1e-3 * without, without, missed_way(model, 2.5e-3));
-}
-
 static void kernel_describes_the_plant(void) {
     const std::unique_ptr<Kernel> robot = make_kernel(0, 8), axis = make_kernel(1, 8);
     TEST_ASSERT_EQUAL_INT(RobotLayout::kStates, robot->states());
@@ -347,8 +288,6 @@ int main(void) {
     RUN_TEST(axes_in_lanes_move_as_one_axis_alone);
     RUN_TEST(robot_moves_alike_whatever_registers_hold_its_wheels);
     RUN_TEST(step_goes_on_from_a_look_as_from_none);
-    RUN_TEST(rising_duty_is_followed_to_the_order_of_the_rule);
-    RUN_TEST(rising_duty_behind_no_lag_is_that_without_one);
     RUN_TEST(kernel_describes_the_plant);
     RUN_TEST(linearised_row_is_the_slope_of_the_plant);
     return UNITY_END();

@@ -328,8 +328,8 @@ static void steps_divide_the_interval_and_keep_to_both_bounds(void) {
     TEST_ASSERT_EQUAL_INT(5, step_count(5e-3, 1e-3, 1000.0));
     TEST_ASSERT_EQUAL_INT(6, step_count(5.1e-3, 1e-3, 1000.0));
     TEST_ASSERT_EQUAL_INT(1, step_count(1e-3, 1e-3, 0.0));
-    TEST_ASSERT_EQUAL_INT(2, step_count(5e-3, 5e-3, 800.0));
-    TEST_ASSERT_EQUAL_INT(3, step_count(5e-3, 5e-3, 801.0));
+    TEST_ASSERT_EQUAL_INT(10, step_count(5e-3, 1e-3, 2800.0));
+    TEST_ASSERT_EQUAL_INT(10, step_count(5e-3, 1e-3, 4000.0)); /* half a millisecond is enough */
     TEST_ASSERT_EQUAL_INT(35, step_count(5e-3, 1e-3, 14000.0));
 }
 

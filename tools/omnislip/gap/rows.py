@@ -30,11 +30,11 @@ import numpy.typing as npt
 
 from omnislip import _core
 from omnislip.gap.machine import Machine
-from omnislip.gap.noise import STEP_S
 from omnislip.gap.recordings import Run
 
 Array = npt.NDArray[np.float64]
 
+RISING_STEP_S = 1e-3
 SIZE_DEVIATION = 0.3
 """Of how far commands rise, of what the means of the rows tell: ramps that end within a row, and
 controllers a few times as fast as the rows."""
@@ -61,7 +61,7 @@ def hidden_columns(
         [one for group in driven for one in group],
         list(tracks) * len(driven),
         values[None],
-        step_s=STEP_S,
+        step_s=RISING_STEP_S,
     )
     known, *rising = (
         np.concatenate([array[0] for array in found[first : first + len(runs)]]).ravel()
