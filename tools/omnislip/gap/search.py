@@ -805,10 +805,8 @@ class _Ahead:
 
         From a size that was pulled settling creeps: play of 5 mrad for 13 went to 8 in six rounds.
         """
-        sizes, absent = (
-            start.values_of(-1),
-            _neutral(self._data, self._current.hypothesis, candidate),
-        )
+        sizes = start.values_of(-1)
+        absent = _neutral(self._data, self._current.hypothesis, candidate)
         amplitudes = [i for i in candidate.amplitudes if np.isfinite(absent[i])]
         low, high = ([getattr(p, end) for p in candidate.parameters] for end in ("low", "high"))
         offered = [start]
