@@ -7,7 +7,9 @@ import pytest
 from axis_bench import MASS_KG, make_machine, model_text
 from omnislip import _core
 from omnislip.gap.machine import AXIS_KEYS, Machine
+from omnislip.gap.recordings import make_run
 from omnislip.gap.search import believed_hypothesis
+from omnislip.log_file import Log
 from omnislip.model_file import NOMINAL_ROBOT, Effect, read_model, write_model
 
 ROBOT = Machine(read_model(NOMINAL_ROBOT))
@@ -138,6 +140,22 @@ def test_a_soft_shaft_of_any_robot_is_looked_for_at_the_same_frequencies(size):
         np.testing.assert_allclose(numbers[0], size * numbers[1])
     for ours, theirs in zip(other.starts, known.starts, strict=True):
         assert ours == pytest.approx({index: size * value for index, value in theirs.items()})
+
+
+@pytest.mark.parametrize("speed_rad_s", [0.0, 40.0, 900.0])
+def test_an_encoder_may_lose_counts_from_any_speed_that_it_shows(speed_rad_s):
+    """Also of a robot ten times as slow or fast as the nominal one, or whose wheel stands still."""
+    t_s = np.arange(100) * 0.005
+    columns = {f"wheel/{w}/duty": np.zeros(100) for w in range(1, 5)}
+    counts = np.floor(speed_rad_s * t_s * 2000 / (2 * np.pi))
+    columns |= {f"wheel/{w}/encoder_counts": counts % 65536 for w in range(1, 5)}
+    candidates = ROBOT.candidates_for([make_run(ROBOT, Log("run", t_s, columns))])
+    starts = [c.starts for c in candidates if c.effect == "encoder_dropout"]
+    assert len(starts) == 4
+    for own in starts:
+        speeds = [start[1] for start in own]
+        assert min(speeds) > 0.0
+        assert max(speeds) == pytest.approx(max(speed_rad_s, 1.0), abs=0.7)  # a count in a row
 
 
 def test_keys_move_by_two_tolerances_and_exact_ones_not_at_all():

@@ -262,7 +262,7 @@ class Data:
         self.scale = 1.0
         rate_1_s = machine.engine.fastest_rate_1_s(values)
         self._least_rate_1_s = STEPS_ALIKE * rate_1_s
-        self._most_rate_1_s = max(STIFFEST_1_S, STIFFER * rate_1_s)
+        self._most_rate_1_s = min(max(STIFFEST_1_S, STIFFER * rate_1_s), _core.FASTEST_RATE_1_S)
         news = news_of(machine, runs, self.tracks)
         self.feigned_gain = news.feigned_gain
         """Gain beyond chance below which an effect may be a controller's answer."""
@@ -408,8 +408,7 @@ class Data:
         """
         rates = np.array([self.machine.engine.fastest_rate_1_s(values) for values in sets])
         order = np.argsort(np.maximum(rates, self._least_rate_1_s), kind="stable")
-        most_1_s = min(self._most_rate_1_s, _core.FASTEST_RATE_1_S)
-        return order[rates[order] <= most_1_s]
+        return order[rates[order] <= self._most_rate_1_s]
 
     def _kept_only(self, columns: Array) -> Array:
         """Rows that count of columns (all rows * outputs, n); 0 where these diverge."""

@@ -77,8 +77,9 @@ PATCH = "slippery_patch"
 """The effect that has a place in the floor."""
 POSE_X, LEAST_POSES = 5, 50
 PLACES = 25
-DROPOUT, SPEED_SHARES = "encoder_dropout", (0.25, 0.5, 0.7, 0.85, 0.95, 1.0)
-"""Speeds from which an encoder may lose counts, as shares of the fastest that it shows."""
+DROPOUT, SPEED_SHARES, STILL_RAD_S = "encoder_dropout", (0.25, 0.5, 0.7, 0.85, 0.95, 1.0), 1.0
+"""Speeds from which an encoder may lose counts, as shares of the fastest that it shows; what counts
+as that of one which stands still in all logs."""
 # A size that is infinite when absent (stiffness, limit) is sought up to so many typical ones: a
 # gear ten times stiffer shows in no log and would be integrated in tiny steps.
 MOST_OF_ABSENT = 10.0
@@ -213,7 +214,7 @@ class Machine:
     def _by_speed(self, candidate: Candidate, runs: Sequence["Run"]) -> Candidate:
         angle = (candidate.wheel or 1) - 1
         speeds = [np.abs(np.diff(run.outputs[:, angle]) / np.diff(run.t_s)) for run in runs]
-        fastest = float(np.nanpercentile(np.concatenate(speeds), 99.9))
+        fastest = max(float(np.nanpercentile(np.concatenate(speeds), 99.9)), STILL_RAD_S)
         return replace(candidate, starts=tuple({1: share * fastest} for share in SPEED_SHARES))
 
     def floor_candidates(self, runs: Sequence["Run"]) -> list[Candidate]:

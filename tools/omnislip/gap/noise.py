@@ -110,26 +110,25 @@ def track_recordings(
 
     RunawayError for a set that is too stiff to be followed.
     """
-    rate_1_s = machine.engine.fastest_rate_1_s(values)
-    if not rate_1_s <= _core.FASTEST_RATE_1_S:
-        raise RunawayError(
-            f"the model is too stiff to simulate: its fastest rate is {rate_1_s:.1e} 1/s, at most "
-            f"{_core.FASTEST_RATE_1_S:.0e}; check masses, inertias, slip_stiffness_s_m and mu_drive"
+    try:
+        return machine.engine.track(
+            list(recordings),
+            values,
+            noise.process,
+            noise.output,
+            noise.initial,
+            noise.timing_s2,
+            noise.unresolved,
+            noise.unresolved_current,
+            noise.coloured.tolist(),
+            noise.colour_rate_1_s,
+            step_s=step_s,
+            keep_linear=keep_linear,
         )
-    return machine.engine.track(
-        list(recordings),
-        values,
-        noise.process,
-        noise.output,
-        noise.initial,
-        noise.timing_s2,
-        noise.unresolved,
-        noise.unresolved_current,
-        noise.coloured.tolist(),
-        noise.colour_rate_1_s,
-        step_s=step_s,
-        keep_linear=keep_linear,
-    )
+    except ValueError as error:
+        if machine.engine.fastest_rate_1_s(values) <= _core.FASTEST_RATE_1_S:
+            raise
+        raise RunawayError(str(error)) from None
 
 
 @dataclass(frozen=True)

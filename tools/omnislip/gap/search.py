@@ -571,19 +571,23 @@ def _threshold_moved(data: Data, current: Fit, start: Hypothesis, index: int) ->
     """Move the parameter `index` of the last effect to where the effect explains most."""
     candidate = start.effects[-1]
     low, high = ([getattr(p, end) for p in candidate.parameters] for end in ("low", "high"))
-    shown = [own[index] for own in candidate.starts]
-    ends = np.array([min(shown), max(shown)]) * THRESHOLD_BEYOND
-    places = np.append(np.geomspace(*ends, THRESHOLD_PLACES), start.values_of(-1)[index])
-    for step in (None, *THRESHOLD_STEPS):
-        now = start.values_of(-1)
+
+    def at_best_of(places: Array) -> Hypothesis:
         offered = []
-        for place in places if step is None else now[index] * np.array([1 / step, 1.0, step]):
+        for place in places:
             for scale in SIZE_FACTORS:
-                sizes = now.copy()
+                sizes = start.values_of(-1).copy()
                 sizes[index] = place
                 sizes[list(candidate.amplitudes)] *= scale
                 offered.append(current.hypothesis.with_effect(candidate, np.clip(sizes, low, high)))
-        start = offered[int(np.argmin(costs_refitted(data, current, offered)))]
+        return offered[int(np.argmin(costs_refitted(data, current, offered)))]
+
+    shown = [own[index] for own in candidate.starts]
+    ends = np.array([min(shown), max(shown)]) * THRESHOLD_BEYOND
+    places = np.geomspace(*ends, THRESHOLD_PLACES)
+    start = at_best_of(np.append(places, start.values_of(-1)[index]))
+    for step in THRESHOLD_STEPS:
+        start = at_best_of(start.values_of(-1)[index] * np.array([1.0 / step, 1.0, step]))
     return start
 
 
@@ -808,15 +812,17 @@ class _Ahead:
         sizes = start.values_of(-1)
         absent = _neutral(self._data, self._current.hypothesis, candidate)
         amplitudes = [i for i in candidate.amplitudes if np.isfinite(absent[i])]
+        if not amplitudes:
+            return start
         low, high = ([getattr(p, end) for p in candidate.parameters] for end in ("low", "high"))
         offered = [start]
-        for factor in PULLED_BY if amplitudes else ():
+        for factor in PULLED_BY:
             larger = sizes.copy()
             larger[amplitudes] += (factor - 1.0) * (sizes - absent)[amplitudes]
             offered.append(
                 self._current.hypothesis.with_effect(candidate, np.clip(larger, low, high))
             )
-        return max(offered, key=self._likelihood) if len(offered) > 1 else start
+        return max(offered, key=self._likelihood)
 
     def _by_its_noise(self, candidate: Candidate, start: Hypothesis) -> _Further | None:
         """Judge a candidate by the noise that fits it; None where its own filter loses the robot.
