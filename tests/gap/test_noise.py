@@ -1,14 +1,18 @@
 """The filter's noise: likelihoods along a path against filters of their own, and disturbances."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 from axis_bench import Bench, make_machine, make_runs
+from omnislip.gap import truth
 from omnislip.gap.inference import Data
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import (
+    COLOUR_RATES_1_S,
     CONVERGED,
+    LASTING_RATE_1_S,
     NOISES,
     PULL,
     SENSOR_MARGIN,
@@ -240,6 +244,19 @@ def test_disturbances_of_the_filter_are_what_they_are_said_to_be(robot):
     forgetful = Noise(renewed, output, certain, 0.0, 0.0, np.zeros(0))
     coloured = whitened(machine, recording, forgetful)
     assert np.mean(coloured[1:] * coloured[:-1]) > 5.0 * bound * np.mean(coloured**2)
+
+
+@pytest.mark.parametrize(("corner_hz", "rate_1_s"), [(1.6, 10.0), (10.0, 63.0)])
+def test_chance_fades_as_fast_as_it_does_where_a_model_is_judged(corner_hz, rate_1_s, monkeypatch):
+    """To a fifth. To choose a model the slower one is taken for as fast as chance may be."""
+    fading = partial(truth.coloured_noise, corner_hz=(corner_hz, corner_hz))
+    monkeypatch.setattr(truth, "coloured_noise", fading)
+    machine = Machine(read_model(NOMINAL_ROBOT))
+    runs = runs_of(machine, TruthCase(3, runs=6, run_duration_s=4.0, base_offset_sd=0.0))
+    chosen = tune_noise(machine, runs, machine.believed)
+    judged = tune_noise(machine, runs, machine.believed, chosen, slowest_1_s=LASTING_RATE_1_S)
+    assert judged.colour_rate_1_s == pytest.approx(rate_1_s, rel=0.2)
+    assert chosen.colour_rate_1_s == pytest.approx(max(rate_1_s, COLOUR_RATES_1_S[0]), rel=0.2)
 
 
 def test_a_wrong_model_is_not_blamed_on_the_sensors():

@@ -28,7 +28,7 @@ from omnislip.gap.events import LEAST_PIECE_S, known_pushes
 from omnislip.gap.find import HELD_COMMANDS, LEAST_ROWS, too_still, usable_runs
 from omnislip.gap.gates import check, rows_far_apart
 from omnislip.gap.metrics import gap_table, replay_all
-from omnislip.gap.noise import tune_noise
+from omnislip.gap.noise import LASTING_RATE_1_S, tune_noise
 from omnislip.gap.recordings import machine_for, unused_columns
 from omnislip.gap.wiring import mend
 from omnislip.log_file import read_logs
@@ -76,6 +76,7 @@ def evaluate_model(
         runs = [run.held_in_rows() for run in runs]
         told.append(HELD_COMMANDS)
         noise = tune_noise(machine, runs, machine.believed)
+    noise = tune_noise(machine, runs, machine.believed, noise, slowest_1_s=LASTING_RATE_1_S)
     progress("replaying")
     table = gap_table(replay_all(machine, runs, noise, [machine.believed] * 3))
     return {

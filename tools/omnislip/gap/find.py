@@ -33,8 +33,9 @@ from omnislip.gap.metrics import (
     gap_table,
     replay_all,
 )
+from omnislip.gap.noise import LASTING_RATE_1_S, Noise, tune_noise
 from omnislip.gap.plan import Separation, separating_manoeuvre
-from omnislip.gap.predictable import Predictable, predictable_shares
+from omnislip.gap.predictable import OWN_PAST_S, Predictable, predictable_shares
 from omnislip.gap.recordings import (
     ODOMETRY_CHANNELS,
     Run,
@@ -90,13 +91,14 @@ gains, below which it carries a caution; below a tenth of this the search gives 
 LEAST_REST = 100.0
 """Gain beyond chance that a leftover term must have at least: where nothing is missing, how
 commands moved within rows leaves up to 60 in violent driving."""
-PREDICTED_SHARE, LASTING_SHARE = 0.15, 0.4
+PREDICTED_SHARE = 0.15
+LASTING_SHARE = float(np.exp(-2.0 * LASTING_RATE_1_S * OWN_PAST_S[0]))
 """Share of the filter's disturbances that is predicted from what the robot did, and from their own
 past. Where nothing is missing the first is below 0.1, beside right names too. The second is what
-chance of a bandwidth of 1.2 Hz tells of itself 60 ms ahead, exp(-2 * 2 pi 1.2 Hz * 0.06 s); what
-fades within a tenth of a second gave 0.3, of 10 Hz and more below 0.01. Unknown effects that pass
-for chance and that nothing else tells gave 0.6 to 0.9. More than half of the
-runs have to be helped: some hardly excite what is missing."""
+the slowest chance tells of itself 60 ms ahead (0.34): what fades within a tenth of a second gave
+0.29 at most, of 10 Hz and more below 0.01; unknown effects that pass for chance and that nothing
+else tells 0.39 to 0.9. More than half of the runs have to be helped: some hardly excite what is
+missing."""
 VARIES, VARIES_SURELY = 1.0 / 3.0, 3.0
 """Change of an effect's size from half second to half second, relative to itself, from which it is
 not what is there; and the inflation, 1 for white residuals, from which that is no chance."""
@@ -256,11 +258,12 @@ def find_gap(
     refit, after = rungs[0], rungs[-1]
     fitted = split.fitting
     models = [believed, refit, after]
-    replays = replay_all(machine, split.held_out, outcome.data.noise, models)
-    table = gap_table(replays, replay_all(machine, fitted, outcome.data.noise, models))
+    noise = tune_noise(machine, fitted, after, outcome.data.noise, slowest_1_s=LASTING_RATE_1_S)
+    replays = replay_all(machine, split.held_out, noise, models)
+    table = gap_table(replays, replay_all(machine, fitted, noise, models))
     if not outcome.selected:
         table = replace(table, closed=Closed(None, None, None))
-    steps = _steps(machine, outcome, fitted, split.held_out, [believed, *rungs])
+    steps = _steps(machine, outcome, noise, split, [believed, *rungs])
     gap_map = map_gap(
         machine, fitted, outcome.data.noise, refit, after if outcome.selected else None
     )
@@ -482,20 +485,20 @@ def _much_is_left(table: GapTable) -> bool:
 def _steps(
     machine: Machine,
     outcome: Outcome,
-    fitted: Sequence[Run],
-    held_out: Sequence[Run],
+    noise: Noise,
+    split: Split,
     sets: Sequence[Array],
 ) -> list[Step]:
     """Judge the believed model, the refitted one and each with one more effect."""
     names = ["believed", "refit", *(f"+ {e.name}" for e in outcome.final.hypothesis.effects)]
-    rmse = channel_rmse(replay_all(machine, held_out, outcome.data.noise, sets))
+    rmse = channel_rmse(replay_all(machine, split.held_out, noise, sets))
     steps = []
     for index, name in enumerate(names):
         errors = {}
         if machine.kind == "axis":
             errors = {
-                "fitted": _mean_force_error(machine, fitted, sets[index]),
-                "held_out": _mean_force_error(machine, held_out, sets[index]),
+                "fitted": _mean_force_error(machine, split.fitting, sets[index]),
+                "held_out": _mean_force_error(machine, split.held_out, sets[index]),
             }
         own = {channel: float(values[index]) for channel, values in rmse.items()}
         steps.append(Step(name, own, errors))

@@ -23,6 +23,8 @@ Array = npt.NDArray[np.float64]
 
 SHAFT, BODY, YAW = slice(0, 4), slice(8, 10), 10
 GYRO, POSE_XY, HEADING, SUPPLY, CURRENT = 4, slice(5, 7), 7, 8, slice(9, 13)
+COLOUR_RATE = 11
+"""Place of the disturbances' rate among the logarithms of a robot."""
 TUNING_TIME_S = 12.0
 PATHS, ROUNDS, TRIALS = 4, 12, 4
 PROBE = 0.2
@@ -31,6 +33,10 @@ PULL = 0.04
 COLOUR_RATE_1_S = 100.0
 COLOUR_RATES_1_S = (40.0, 600.0)
 """What lasts longer is physics to be named; what is shorter is white."""
+LASTING_RATE_1_S = 9.0
+"""Rate down to which chance may fade where nothing is to be named any more but a model is judged: a
+bandwidth of 1.4 Hz. Replays of a second feel it: what fades in a tenth of a second doubles their
+square error against what fades in a fortieth. Slower than that is no chance (predictable.py)."""
 LEAST = 5.0
 """How far a logarithm may fall below its guess: below that a variance no longer matters."""
 SENSOR_MARGIN = 2.0
@@ -152,17 +158,21 @@ def tune_noise(
     values: Array,
     start: "Noise | None" = None,
     paths: int = PATHS,
+    slowest_1_s: float = COLOUR_RATES_1_S[0],
 ) -> Noise:
     """Fit the variances on some 12 s of the runs by maximum likelihood.
 
     Fisher scoring in the logarithms, damped as by Levenberg and Marquardt, along the path of a
     filter, which is then followed again with the noise that was found.
     `start` is a noise that was fitted before; from there few steps are enough. One of the `paths`
-    is enough where the model is fitted again afterwards.
+    is enough where the model is fitted again afterwards. A robot's chance fades at `slowest_1_s` or
+    faster.
     """
     chosen = _some_runs(runs)
     make, start_of = NOISES[machine.kind]
     guess = start_of(chosen)
+    if machine.kind == "robot":
+        guess.low[COLOUR_RATE] = np.log(slowest_1_s)
     logs = trial = guess.logs if start is None else np.clip(start.logs, guess.low, guess.high)
     best = -np.inf
     for left in reversed(range(paths + 1)):
@@ -338,7 +348,7 @@ def _robot_start(runs: Sequence[Run]) -> Guess:
     places = [3, 4, 5, *range(12, len(logs))]
     low[places] = np.minimum(quiet, moving) - SENSOR_MARGIN
     high[places] = moving + SENSOR_MARGIN
-    low[11], high[11] = np.log(COLOUR_RATES_1_S)
+    low[COLOUR_RATE], high[COLOUR_RATE] = np.log(COLOUR_RATES_1_S)
     return Guess(logs, low, high)
 
 
