@@ -58,6 +58,8 @@ COMMAND_JUMP = 0.1
 MOST_MISFIT, ALONE = 9.0, 0.95
 """A jump that leaves errors three times their standard deviation is not what happened; unless it
 explains such a share of a replay: a hard push that lasts 12 ms leaves five times."""
+LEAST_DEVIATIONS = 3.0
+"""Of its size that a push must have: those of 0.05 m/s had six, what closed loops feign had two."""
 APART_S = 0.3
 REPEATED_S = 0.02
 """Difference of the times of what repeats in another run."""
@@ -97,7 +99,16 @@ class Impact:
     def confirmed(self) -> bool:
         """Whether the plant's own replay says that this happened."""
         fits = self.misfit <= MOST_MISFIT or self.explained >= ALONE
-        return self.gain >= LEAST_RATIO and self.explained >= REPLAYED and fits
+        return self.gain >= LEAST_RATIO and self.explained >= REPLAYED and fits and self._sized
+
+    @property
+    def _sized(self) -> bool:
+        """Whether how far it pushes or turns is known to a third."""
+        push, turn = (np.linalg.norm(part) for part in (self.impulse[:2], self.impulse[2:]))
+        push_sd, turn_sd = (
+            np.linalg.norm(part) for part in (self.deviation[:2], self.deviation[2:])
+        )
+        return bool(push > LEAST_DEVIATIONS * push_sd or turn > LEAST_DEVIATIONS * turn_sd)
 
     def jump_m_s(self, machine: Machine) -> float:
         """Return the jump of a wheel's hub, at most."""
@@ -395,6 +406,9 @@ class _Pushes:
         self.carry = transition - transition @ gain @ slope
         self.horizon = max(3, round(HORIZON_S / run.row_s))
         self.t_s = run.t_s
+        # A log begins at rest mostly. How a piece of one begins the filter has to find out.
+        begins_s = run.t_s[0] + _core.SETTLE_S * (run.time_s[0] > 0.0)
+        self.first = max(1, int(np.searchsorted(run.t_s, begins_s)))
 
     def ratios(self) -> tuple[Array, Array, Array]:
         """Return g, the jump and the explained share for a push before each row."""
@@ -415,6 +429,7 @@ class _Pushes:
         jump = np.linalg.solve(information + 1e-9 * np.eye(3), right[:, :, None])[:, :, 0]
         ratio = np.einsum("ri,ri->r", right, jump)
         ratio[self.t_s < self.t_s[0] + HORIZON_S] = 0.0
+        ratio[: self.first] = 0.0
         return ratio, jump, ratio / np.maximum(energy, 1e-12)
 
     def likeliest_row(self, peak: int) -> int:
@@ -423,7 +438,7 @@ class _Pushes:
         g looks one horizon ahead of its row; rows can be compared only over the same rows.
         """
         end = min(peak + self.horizon, len(self.white))
-        rows = range(max(1, peak - self.horizon), peak + 1)
+        rows = range(max(self.first, peak - self.horizon), peak + 1)
         return max(rows, key=lambda row: self._explained_until(row, end))
 
     def _explained_until(self, row: int, end: int) -> float:

@@ -121,6 +121,11 @@ LEAST_TRAVEL = 20.0
 """Motion, in steps of the position sensor, below which nothing can be learned."""
 LEAST_ROWS, LEAST_S = 50, 2 * _core.SETTLE_S
 """Of a piece that is used; the filter's settling does not count."""
+LONGEST_RUN_S = 60.0
+"""Of a robot's log that is filtered at once: its matrices take 5 MB per second at 200 Hz."""
+STRETCH_S, MOST_FITTED_S, MOST_HELD_OUT_S = 10.0, 120.0, 40.0
+"""Of a robot's longer logs the liveliest stretches are fitted and held out, so much together: 40 s
+name what shows at all, and time and memory go with what is fitted."""
 
 
 @dataclass(frozen=True)
@@ -130,6 +135,8 @@ class Split:
     fitting: list[Run]
     held_out: list[Run]
     how: str
+    thinned: str | None = None
+    """What is used of long logs, in words."""
 
     @property
     def enough(self) -> bool:
@@ -218,6 +225,7 @@ def find_gap(
     known = split_runs(machine, logs, cuts)
     if not known.enough:
         return _insufficient(machine, _too_cut(known), inputs, told, wirings)
+    told += [known.thinned] if known.thinned else []
     noise, first = first_model(machine, known.fitting)
     if holds_commands(machine, known.fitting, first.flat(machine.believed), noise):
         machine = machine.of(model, holds_commands=True)
@@ -511,6 +519,10 @@ def _mean_force_error(machine: Machine, runs: Sequence[Run], values: Array) -> f
     return float(np.average(errors, weights=weights))
 
 
+Part = tuple[str, bool, Log, int, int]
+"""Of a log: (unit, held out, log, first row, end)."""
+
+
 def split_runs(
     machine: Machine, logs: Sequence[Log], pushes: Sequence[tuple[str, float]] = ()
 ) -> Split:
@@ -521,7 +533,7 @@ def split_runs(
     runs that judge it. A series, run or part is a unit of the runs that are fitted: a choice is
     checked on each by what fits the others.
 
-    A log is cut at its pushes (run, time).
+    A log is cut at its pushes (run, time). Of a long log the liveliest stretches are used.
     """
     series = list(dict.fromkeys(log.series for log in logs))
     if len(series) >= SERIES_TO_HOLD_OUT_WHOLE:
@@ -542,11 +554,55 @@ def split_runs(
         end = round((1.0 - HELD_OUT_SHARE) * len(log.t_s))
         parts = [*_cut(log, end, LEAST_UNITS), (log.name, True, log, end, len(log.t_s))]
         how = "one run only: its last quarter held out, parts of the rest check each other"
+    used = parts
+    if machine.kind == "robot":
+        used = _liveliest([part for part in parts if not part[1]], MOST_FITTED_S)
+        used += _liveliest([part for part in parts if part[1]], MOST_HELD_OUT_S)
     fitting, held_out = [], []
-    for unit, is_held_out, log, first, last in parts:
+    for unit, is_held_out, log, first, last in used:
         runs = [replace(r, unit=unit) for r in usable_runs(machine, log, pushes, first, last)]
         (held_out if is_held_out else fitting).extend(runs)
-    return Split(fitting, held_out, how)
+    whole_s, used_s = (sum(map(_duration_s, some)) for some in (parts, used))
+    thinned = None
+    if used_s < whole_s:
+        thinned = f"{used_s:.0f} of {whole_s:.0f} s are used: the liveliest stretches of the logs"
+    return Split(fitting, held_out, how, thinned)
+
+
+def _liveliest(parts: Sequence[Part], most_s: float) -> list[Part]:
+    """Return the parts, or stretches of them of `most_s` together.
+
+    One of each stratum, so that what drifts and what is met in one place only is seen: that in
+    which the commands vary most.
+    """
+    if sum(map(_duration_s, parts)) <= most_s:
+        return list(parts)
+    stretches = [
+        (unit, held_out, log, begin, end)
+        for unit, held_out, log, first, last in parts
+        for begin, end in _even_parts(log, first, last, STRETCH_S)
+    ]
+    mean_s = sum(map(_duration_s, stretches)) / len(stretches)
+    strata = np.array_split(np.arange(len(stretches)), max(int(most_s / mean_s), 1))
+    return [stretches[max(own, key=lambda k: _liveliness(stretches[k]))] for own in strata]
+
+
+def _liveliness(part: Part) -> float:
+    """Return the variance of the commands of a part of a robot's log."""
+    _, _, log, first, last = part
+    duties = [log.columns[f"wheel/{wheel}/duty"][first:last] for wheel in range(1, 5)]
+    return float(np.sum(np.var(np.nan_to_num(duties), axis=1)))
+
+
+def _duration_s(part: Part) -> float:
+    _, _, log, first, last = part
+    return float(log.t_s[last - 1] - log.t_s[first])
+
+
+def _even_parts(log: Log, first: int, last: int, longest_s: float) -> list[tuple[int, int]]:
+    """Cut rows first..last of a log into even parts of `longest_s` at most: (begin, end)."""
+    count = max(math.ceil((log.t_s[last - 1] - log.t_s[first]) / longest_s), 1)
+    return list(pairwise(np.linspace(first, last, count + 1).round().astype(int).tolist()))
 
 
 def usable_runs(
@@ -556,7 +612,10 @@ def usable_runs(
     first: int = 0,
     last: int | None = None,
 ) -> list[Run]:
-    """Return what is long enough to be used of rows first..last between the pushes (run, time)."""
+    """Return what is long enough to be used of rows first..last between the pushes (run, time).
+
+    A robot's in runs of a minute at most.
+    """
     runs = []
     for begin, end in pieces(log, pushes):
         begin, end = max(begin, first), min(end, len(log.t_s) if last is None else last)
@@ -565,7 +624,9 @@ def usable_runs(
         before = [] if machine.kind == "odometry" else [(begin, pose)]
         for rows in (*before, (pose, end)):
             if rows[1] - rows[0] >= LEAST_ROWS and np.ptp(log.t_s[slice(*rows)]) >= LEAST_S:
-                runs.append(make_run(machine, log, *rows))
+                longest_s = LONGEST_RUN_S if machine.kind == "robot" else np.inf
+                parts = _even_parts(log, *rows, longest_s)
+                runs += [make_run(machine, log, *part) for part in parts]
     return runs
 
 
@@ -575,8 +636,8 @@ def _every_fifth(count: int) -> list[int]:
     return [round((k + 1) * count / share) - 1 for k in range(share)]
 
 
-def _cut(log: Log, end: int, count: int) -> list[tuple[str, bool, Log, int, int]]:
-    """Cut the rows of a log before `end` into some parts: (unit, held out, log, begin, end)."""
+def _cut(log: Log, end: int, count: int) -> list[Part]:
+    """Cut the rows of a log before `end` into some parts."""
     count = max(2, min(count, int((log.t_s[end - 1] - log.t_s[0]) / LEAST_PART_S)))
     edges = np.linspace(0, end, count + 1).round().astype(int)
     return [
