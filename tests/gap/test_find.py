@@ -543,6 +543,37 @@ def test_what_ends_before_it_can_be_replayed_is_not_held_out(tmp_path):
     assert [run.duration_s for run in later.held_out] == pytest.approx([0.59])
 
 
+@pytest.mark.parametrize(("count", "rows"), [(1, 120_000), (3, 40_000), (12, 12_000), (200, 1200)])
+def test_of_long_logs_stretches_from_all_over_are_used(count, rows):
+    logs = [replace(robot_log(rows), name=f"run_{k:03d}") for k in range(count)]
+    split = split_runs(ROBOT, logs)
+    for runs, most_s in ((split.fitting, 120.0), (split.held_out, 40.0)):
+        used_s = sum(run.duration_s for run in runs)
+        assert 0.85 * most_s < used_s <= most_s
+        assert max(run.duration_s for run in runs) <= 10.0
+    assert not stretches(split.fitting) & stretches(split.held_out)
+    whole_s = count * (rows - 1) * 0.005
+    assert f"of {whole_s:.0f} s" in split.thinned
+    names = [log.name for log in logs]
+    times_s = np.sort([names.index(r.name) * rows * 0.005 + r.t_s[0] for r in split.fitting])
+    assert np.max(np.diff(times_s)) < 0.3 * whole_s
+
+
+def test_of_long_logs_the_liveliest_stretches_are_used():
+    """Every third ten seconds the robot drives at twice the duty."""
+    twice = 1.0 + (np.arange(120_000) // 2000 % 3 == 1)
+    duty = robot_log(120_000).columns["wheel/1/duty"] * twice
+    log = robot_log(120_000, **{f"wheel/{w}/duty": duty for w in range(1, 5)})
+    split = split_runs(ROBOT, [log])
+    assert all(10.0 <= run.t_s[0] % 30.0 < 20.0 for run in split.fitting + split.held_out)
+
+
+def test_a_minute_is_filtered_at_once_at_most():
+    runs = usable_runs(ROBOT, robot_log(26_000), [])
+    assert sum(len(run.t_s) for run in runs) == 26_000
+    assert max(run.duration_s for run in runs) < 60.0
+
+
 def test_runs_of_the_same_name_in_two_folders_are_two(tmp_path):
     model, _ = axis_case(tmp_path, seeds=())
     logs = [replace(make_log(Bench(), k), series=f"day_{d}") for d in range(2) for k in range(3)]
