@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from omnislip.gap import truth as truth_module
-from omnislip.gap.answers import holds_commands
+from omnislip.gap.answers import likelier_held
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import first_guess, track_all, tune_noise
 from omnislip.gap.truth import TruthCase
@@ -99,7 +99,8 @@ HOLDING = ROBOT.of(ROBOT.model, holds_commands=True)
 def asked(**case):
     truth = TruthCase(seed=8, runs=3, run_duration_s=4.0, base_offset_sd=0.0, disorder=0.0, **case)
     runs = runs_of(ROBOT, truth)
-    return holds_commands(ROBOT, runs, ROBOT.believed, tune_noise(ROBOT, runs, ROBOT.believed))
+    noise = tune_noise(ROBOT, runs, ROBOT.believed)
+    return likelier_held(ROBOT, runs, ROBOT.believed, noise) > 0.0
 
 
 @pytest.mark.parametrize("excitation", ["rich", "ordinary"])

@@ -24,7 +24,7 @@ and Stoica, Instrumental variable methods for system identification, 1983; Woold
 analysis of cross section and panel data, chapter 5.)
 
 Nor is chance how a command moves within a row (rows.py). A controller that is as slow as the rows
-holds it, and one that is faster moves it as the means tell: `holds_commands` asks the motion which.
+holds it, and one that is faster moves it as the means tell: `likelier_held` asks the motion which.
 Where commands are taken as held, how far they rise all the same is taken out of r: w, what is
 changed by commands that rise at the rate of their means, times how far they do, by the same
 instruments -w~'r / w~'w, between 0 and 1.
@@ -191,21 +191,21 @@ def news_of(machine: Machine, runs: Sequence[Run], tracks: Sequence[_core.Track]
     return News(found if new else [], most, _driven(machine, tracks))
 
 
-def holds_commands(machine: Machine, runs: Sequence[Run], values: Array, noise: Noise) -> bool:
-    """Return whether a robot's commands are held within the rows of its logs.
+def likelier_held(machine: Machine, runs: Sequence[Run], values: Array, noise: Noise) -> float:
+    """Return by how much (log) the motion is likelier if a robot's commands are held within rows.
 
-    `runs` are those of commands that move. They are held where a controller sets them row by row,
-    or where the motion is likelier so. (Likelihood alone does not tell a controller's: the means of
-    the next row, by which a command rises, answer what happened in this one.)
+    `runs` are those of commands that move. Infinite where a controller sets them row by row.
+    (Likelihood alone does not tell a controller's: the means of the next row, by which a command
+    rises, answer what happened in this one.)
     """
     if machine.kind != "robot":
-        return False
+        return -np.inf
     tracks = track_all(machine, runs, values, noise, keep_linear=True)
     if news_of(machine, runs, tracks).share > ROW_BY_ROW:
-        return True
+        return np.inf
     held = track_all(machine, [run.held_in_rows() for run in runs], values, noise)
     moved, still = (sum(t.log_likelihood for t in each) for each in (tracks, held))
-    return bool(still > moved)
+    return float(still - moved)
 
 
 def _share_answered(logged: Sequence[tuple[Run, _core.Track]]) -> float:

@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from omnislip.errors import InputError
-from omnislip.gap.answers import holds_commands
+from omnislip.gap.answers import likelier_held
 from omnislip.gap.events import LEAST_PIECE_S, known_pushes
 from omnislip.gap.find import HELD_COMMANDS, LEAST_ROWS, too_still, usable_runs
 from omnislip.gap.gates import check, rows_far_apart
@@ -71,7 +71,7 @@ def evaluate_model(
         raise InputError(f"the logs cannot be used: {still}")
     progress("tuning the noise")
     noise = tune_noise(machine, runs, machine.believed)
-    if holds_commands(machine, runs, machine.believed, noise):
+    if likelier_held(machine, runs, machine.believed, noise) > 0.0:
         machine = machine.of(model, holds_commands=True)
         runs = [run.held_in_rows() for run in runs]
         told.append(HELD_COMMANDS)
