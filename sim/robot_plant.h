@@ -30,6 +30,8 @@
 #ifndef OMNISLIP_SIM_ROBOT_PLANT_H
 #define OMNISLIP_SIM_ROBOT_PLANT_H
 
+#include <cmath>
+
 #include "active_effects.h"
 #include "memory.h"
 #include "user_terms.h"
@@ -160,11 +162,12 @@ class RobotPlant : public RobotLayout {
     /* Warms the windings of x by n rows before; resistance times 1 + h lets 1 / (1 + h) through. */
     void warm(const double *length_s, const double *cold_current_a2, std::size_t n, S *x) const {
         for (std::size_t k = 0; heats_ && k < n; ++k) {
+            const double kept = std::exp(-length_s[k] / kCoolingTime_s);
             for (int i = 0; i < 4; ++i) {
                 S &heat = x[kHeat + i];
                 const S through = S(1.0) / (S(1.0) + c_.heating_1_a2_s[i] * heat);
                 const S heating = S(cold_current_a2[4 * k + i]) * through * through;
-                heat = heat + S(length_s[k]) * (heating - heat * S(1.0 / kCoolingTime_s));
+                heat = S(kept) * heat + S((1.0 - kept) * kCoolingTime_s) * heating;
             }
         }
     }

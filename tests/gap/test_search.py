@@ -385,6 +385,49 @@ def test_what_loses_by_the_noise_of_another_takes_its_place_if_likelier_by_its_o
     assert [effect.effect for effect in found.hypothesis.effects] == [named]
 
 
+@pytest.mark.parametrize(
+    ("nats", "settings", "named"),
+    [
+        ({"driver_lag": 0.0}, {}, "actuation_delay"),  # explains more, and as likely
+        ({"driver_lag": 1e3}, {}, "driver_lag"),
+        ({"driver_lag": 1e3}, {"NEARLY_AT_FIRST": 0.0, "RIVAL_MARGIN": 0.0}, "actuation_delay"),
+        ({"driver_lag": 1e3}, {"_likelihood_judges": lambda _: False}, "actuation_delay"),
+        ({"actuation_delay": -np.inf, "driver_lag": 1e3}, {}, "driver_lag"),
+        ({"driver_lag": -np.inf}, {}, "actuation_delay"),
+    ],
+    ids=["as likely", "likelier", "far from as much", "answered within rows", "lost", "lost rival"],
+)
+def test_what_explains_nearly_as_much_is_taken_if_likelier(
+    tmp_path, monkeypatch, nats, settings, named
+):
+    """A delay of 1.5 ms is hidden, which a lag nearly explains; likelihoods are given."""
+    hidden = HiddenEffect("actuation_delay", {"delay_s": 0.0015}).as_dict()
+    case = TruthCase(seed=77, effects=(hidden,), excitation="rich", runs=2)
+    robot, runs, candidates = robot_runs(case, tmp_path)
+    data, base = settle(robot, runs, believed_hypothesis(robot))
+    of = {"actuation_delay": 0.0} | nats
+    given = {"_own_likelihood": lambda _, one: of[one.hypothesis.effects[-1].effect]}
+    for name, value in ({"NEARLY_AT_FIRST": 1.0} | given | settings).items():
+        monkeypatch.setattr(search_module, name, value)
+    screened = screen(data, base, [candidates[name] for name in ("actuation_delay", "driver_lag")])
+    found = search_module._try(data, base, screened, 1, 2, silent)
+    assert found[0][0].candidate.effect == "actuation_delay"
+    [(taken, fitted)] = [(trial, one) for trial, one in found if trial.accepted]
+    [(other, _)] = [(trial, one) for trial, one in found if not trial.accepted]
+    assert taken.candidate.effect == named == fitted.hypothesis.effects[-1].effect
+    assert ("likelier" if named == "driver_lag" else "explains more") in taken.reason
+    assert named in other.reason
+
+
+def test_a_model_that_loses_the_robot_by_its_own_noise_is_not_likely(tmp_path, monkeypatch):
+    def lost(*_, **__):
+        raise RunawayError("lost")
+
+    data, fitted, _ = lag_named(tmp_path, "driver_lag", "driver_lag")
+    monkeypatch.setattr(search_module, "settle", lost)
+    assert search_module._own_likelihood(data, fitted) == -np.inf
+
+
 def test_edges_of_a_patch_that_were_drawn_to_a_wrong_place_are_found_again(tmp_path):
     """Beside the other effects as they are; some centimetres away there is nothing to descend."""
     floor = {"x_min_m": -0.1, "x_max_m": 0.4, "scale": 0.5}

@@ -201,11 +201,13 @@ def likelier_held(machine: Machine, runs: Sequence[Run], values: Array, noise: N
     if machine.kind != "robot":
         return -np.inf
     tracks = track_all(machine, runs, values, noise, keep_linear=True)
-    if news_of(machine, runs, tracks).share > ROW_BY_ROW:
-        return np.inf
     held = track_all(machine, [run.held_in_rows() for run in runs], values, noise)
     moved, still = (sum(t.log_likelihood for t in each) for each in (tracks, held))
-    return float(still - moved)
+    if not np.isfinite(moved):  # the filter lost the robot
+        return np.inf if np.isfinite(still) else 0.0
+    if news_of(machine, runs, tracks).share > ROW_BY_ROW:
+        return np.inf
+    return float(np.nan_to_num(still - moved, nan=-np.inf))
 
 
 def _share_answered(logged: Sequence[tuple[Run, _core.Track]]) -> float:

@@ -40,7 +40,7 @@ from omnislip.gap.find import Findings, find_gap, split_runs, to_json
 from omnislip.gap.inference import Data, Fit, Hypothesis, fit, weigh
 from omnislip.gap.machine import CURVE, PHASE, Candidate, Machine, name_on_wheel
 from omnislip.gap.metrics import gap_table, replay_all
-from omnislip.gap.noise import tune_noise
+from omnislip.gap.noise import judging_noise, tune_noise
 from omnislip.gap.recordings import Run
 from omnislip.gap.search import believed_hypothesis
 from omnislip.gap.truth import TruthCase, random_case, write_case
@@ -356,10 +356,11 @@ def _ask_oracle(
     if outcome is None:
         return None, NOT_SEEN | {"lambda": visible}
     models = [machine.believed, base.flat(machine.believed)]
+    judging = judging_noise(machine, runs, fitted.hypothesis.flat(machine.believed), data.noise)
     closed = []
     for hypothesis in (outcome.final.hypothesis, fitted.hypothesis):
         sets = [*models, hypothesis.flat(machine.believed)]
-        table = gap_table(replay_all(machine, findings.split.held_out, data.noise, sets))
+        table = gap_table(replay_all(machine, findings.split.held_out, judging, sets))
         closed.append(table.closed.value)
     seen = {"lambda": visible, "gap_closed": closed[0], "gap_closed_oracle": closed[1]}
     return fitted.hypothesis, seen
@@ -394,7 +395,7 @@ def _ask_others(
     for name, answer in answers.items():
         row[f"{name}: named"] = [name_on_wheel(*pair) for pair in answer.named]
         row |= {f"{name}: {key}": right for key, right in _right(truth, answer.named).items()}
-    errors = replay_errors(machine, split.held_out, outcome.data.noise, list(models.values()))
+    errors = replay_errors(machine, split.held_out, findings.noise, list(models.values()))
     for name, error in zip(models, errors, strict=True):
         row[f"{name}: replay_error"] = float(error)
     return row

@@ -12,9 +12,11 @@ model and the held-out logs, as far as whole logs were held out:
                  judge by is the lowest of the models that are compared. Repeated manoeuvres give
                  the same floor for all models; `gap find` looks for them in all of its logs.
 
+Of long logs `gap find` judges the stretches that it holds out; here all is replayed.
+
 A push that a model does not name is an error of that model. `gap find` cuts it out for all models.
-Whether commands are held within rows is asked by the model that is evaluated: of models that are
-compared, `recording` should say the same.
+Whether commands are held within rows is asked by the model that is evaluated, which `gap find` asks
+of its final one: of models that are compared, `recording` should say the same.
 """
 
 from collections.abc import Callable, Sequence
@@ -25,10 +27,10 @@ from typing import Any
 from omnislip.errors import InputError
 from omnislip.gap.answers import likelier_held
 from omnislip.gap.events import LEAST_PIECE_S, known_pushes
-from omnislip.gap.find import HELD_COMMANDS, LEAST_ROWS, too_still, usable_runs
+from omnislip.gap.find import HELD_COMMANDS, LEAST_ROWS, MOST_FITTED_S, too_still, usable_runs
 from omnislip.gap.gates import check, rows_far_apart
 from omnislip.gap.metrics import gap_table, replay_all
-from omnislip.gap.noise import LASTING_RATE_1_S, tune_noise
+from omnislip.gap.noise import judging_noise, tune_noise
 from omnislip.gap.recordings import machine_for, unused_columns
 from omnislip.gap.wiring import mend
 from omnislip.log_file import read_logs
@@ -71,12 +73,14 @@ def evaluate_model(
         raise InputError(f"the logs cannot be used: {still}")
     progress("tuning the noise")
     noise = tune_noise(machine, runs, machine.believed)
-    if likelier_held(machine, runs, machine.believed, noise) > 0.0:
+    total_s = sum(run.duration_s for run in runs)
+    some = runs[:: max(1, round(total_s / MOST_FITTED_S))]
+    if likelier_held(machine, some, machine.believed, noise) > 0.0:
         machine = machine.of(model, holds_commands=True)
         runs = [run.held_in_rows() for run in runs]
         told.append(HELD_COMMANDS)
         noise = tune_noise(machine, runs, machine.believed)
-    noise = tune_noise(machine, runs, machine.believed, noise, slowest_1_s=LASTING_RATE_1_S)
+    noise = judging_noise(machine, runs, machine.believed, noise)
     progress("replaying")
     table = gap_table(replay_all(machine, runs, noise, [machine.believed] * 3))
     return {

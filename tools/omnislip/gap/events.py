@@ -60,6 +60,8 @@ MOST_MISFIT, ALONE = 9.0, 0.95
 explains such a share of a replay: a hard push that lasts 12 ms leaves five times."""
 LEAST_DEVIATIONS = 3.0
 """Of its size that a push must have: those of 0.05 m/s had six, what closed loops feign had two."""
+SLOW_M_S = 0.1
+"""Speed of a wheel's rim below which a robot is as good as at rest."""
 APART_S = 0.3
 REPEATED_S = 0.02
 """Difference of the times of what repeats in another run."""
@@ -134,7 +136,7 @@ def _impacts_in(machine: Machine, run: Run, values: Array, noise: Noise) -> list
     [track] = track_all(machine, [run], values, noise, keep_linear=True)
     pushes = _Pushes(machine, run, track)
     ratio, jump, explained = pushes.ratios()
-    level = float(np.percentile(ratio, 80))
+    level = float(np.percentile(ratio[pushes.first :], 80))
     impacts = []
     for peak in _peaks(run.t_s, ratio, max(LEAST_RATIO, OVER_LEVEL * level)):
         if explained[peak] >= HARD_EXPLAINED:
@@ -406,9 +408,14 @@ class _Pushes:
         self.carry = transition - transition @ gain @ slope
         self.horizon = max(3, round(HORIZON_S / run.row_s))
         self.t_s = run.t_s
-        # A log begins at rest mostly. How a piece of one begins the filter has to find out.
-        begins_s = run.t_s[0] + _core.SETTLE_S * (run.time_s[0] > 0.0)
-        self.first = max(1, int(np.searchsorted(run.t_s, begins_s)))
+        # At rest the first state is known. Else it is what the wheels say, and where they slide the
+        # filter has to find out how the robot goes.
+        values = machine.model.values
+        rim_m = float(values["robot.wheel_radius_m"]) / float(values["motor.gear_ratio"])
+        rim_m_s = rim_m * np.abs(track.state.reshape(rows, -1)[0, :4])
+        unknown_s = HORIZON_S if rim_m_s.max() < SLOW_M_S else _core.SETTLE_S
+        self.first = int(np.searchsorted(run.t_s, run.t_s[0] + unknown_s))
+        self.earliest = 1 if unknown_s == HORIZON_S else self.first
 
     def ratios(self) -> tuple[Array, Array, Array]:
         """Return g, the jump and the explained share for a push before each row."""
@@ -428,7 +435,6 @@ class _Pushes:
             error[at] = self.carry[seen] @ error[at]
         jump = np.linalg.solve(information + 1e-9 * np.eye(3), right[:, :, None])[:, :, 0]
         ratio = np.einsum("ri,ri->r", right, jump)
-        ratio[self.t_s < self.t_s[0] + HORIZON_S] = 0.0
         ratio[: self.first] = 0.0
         return ratio, jump, ratio / np.maximum(energy, 1e-12)
 
@@ -438,7 +444,7 @@ class _Pushes:
         g looks one horizon ahead of its row; rows can be compared only over the same rows.
         """
         end = min(peak + self.horizon, len(self.white))
-        rows = range(max(self.first, peak - self.horizon), peak + 1)
+        rows = range(max(self.earliest, peak - self.horizon), peak + 1)
         return max(rows, key=lambda row: self._explained_until(row, end))
 
     def _explained_until(self, row: int, end: int) -> float:

@@ -33,7 +33,7 @@ from omnislip.gap.metrics import (
     gap_table,
     replay_all,
 )
-from omnislip.gap.noise import LASTING_RATE_1_S, Noise, tune_noise
+from omnislip.gap.noise import LASTING_RATE_1_S, Noise, judging_noise
 from omnislip.gap.plan import Separation, separating_manoeuvre
 from omnislip.gap.predictable import OWN_PAST_S, Predictable, predictable_shares
 from omnislip.gap.recordings import (
@@ -193,6 +193,8 @@ class Findings:
     """What of the logs was mended, cut or not used, in sentences."""
     balances: list[Balance] = field(default_factory=list)
     """What each balance of a robot leaves on the held-out runs, beside the models of the table."""
+    noise: Noise | None = None
+    """By which the replays of the held-out runs are judged."""
 
 
 def find_gap(
@@ -227,9 +229,10 @@ def find_gap(
     progress("looking for impacts")
     cuts += known_pushes(model, logs)
     known = split_runs(machine, logs, cuts)
+    if known.thinned:
+        told.append(known.thinned)
     if not known.enough:
         return _insufficient(machine, _too_cut(known), inputs, told, wirings)
-    told += [known.thinned] if known.thinned else []
     noise, first = first_model(machine, known.fitting)
     if likelier_held(machine, known.fitting, first.flat(machine.believed), noise) > 0.0:
         machine = machine.of(model, holds_commands=True)
@@ -245,22 +248,22 @@ def find_gap(
         outcome = search(machine, split.fitting, noise, progress, first.without_effects())
         progress("looking for impacts with the final model")
         values = outcome.final.hypothesis.flat(machine.believed)
-        moving = machine.of(model, holds_commands=False)
-        free = split_runs(moving, logs, pushes).fitting if machine.holds_commands else split.fitting
-        likelier = likelier_held(moving, free, values, outcome.data.noise)
-        mistaken = -likelier if machine.holds_commands else likelier
-        if left and mistaken > SURELY_MISTAKEN:
+        seen_by = outcome.data.noise
+        if left and _takes_commands_wrongly(machine, logs, pushes, split, values, seen_by):
             machine = machine.of(model, holds_commands=not machine.holds_commands)
-            anew = split_runs(machine, logs, pushes).fitting
-            noise, first = first_model(machine, anew, (noise, first))
+            noise, first = first_model(
+                machine, split_runs(machine, logs, pushes).fitting, (noise, first)
+            )
+            values, seen_by = first.flat(machine.believed), noise
             runs = [run for log in logs for run in usable_runs(machine, log, cuts)]
-        confirmed = find_impacts(machine, runs, values, outcome.data.noise)
+        confirmed = find_impacts(machine, runs, values, seen_by)
         cut_out = [new for new in confirmed if any(new.near(old) for old in impacts)]
         settled = len(cut_out) == len(confirmed) and machine is outcome.data.machine
         impacts = confirmed if left else cut_out  # what was fitted as well is not to be told
         if settled:
             break
-    told += [HELD_COMMANDS] if machine.holds_commands else []
+    if machine.holds_commands:
+        told.append(HELD_COMMANDS)
     if outcome.selected or outcome.leftover:
         reason = logged_set_points(machine, logs, outcome.final.hypothesis.flat(machine.believed))
         if reason:
@@ -279,12 +282,12 @@ def find_gap(
     refit, after = rungs[0], rungs[-1]
     fitted = split.fitting
     models = [believed, refit, after]
-    noise = tune_noise(machine, fitted, after, outcome.data.noise, slowest_1_s=LASTING_RATE_1_S)
-    replays = replay_all(machine, split.held_out, noise, models)
-    table = gap_table(replays, replay_all(machine, fitted, noise, models))
+    judging = judging_noise(machine, fitted, after, outcome.data.noise)
+    replays = replay_all(machine, split.held_out, judging, models)
+    table = gap_table(replays, replay_all(machine, fitted, judging, models))
     if not outcome.selected:
         table = replace(table, closed=Closed(None, None, None))
-    steps = _steps(machine, outcome, noise, split, [believed, *rungs])
+    steps = _steps(machine, outcome, judging, split, [believed, *rungs])
     gap_map = map_gap(
         machine, fitted, outcome.data.noise, refit, after if outcome.selected else None
     )
@@ -342,7 +345,24 @@ def find_gap(
         other_wirings,
         told,
         find_balances(machine, replays, outcome.data.noise, models),
+        judging,
     )
+
+
+def _takes_commands_wrongly(
+    machine: Machine,
+    logs: Sequence[Log],
+    pushes: Sequence[tuple[str, float]],
+    split: Split,
+    values: Array,
+    noise: Noise,
+) -> bool:
+    """Whether a final model shows that commands within rows are not what a first one made them."""
+    if not machine.holds_commands:
+        return likelier_held(machine, split.fitting, values, noise) > SURELY_MISTAKEN
+    moving = machine.of(machine.model, holds_commands=False)
+    runs = split_runs(moving, logs, pushes).fitting
+    return -likelier_held(moving, runs, values, noise) > SURELY_MISTAKEN
 
 
 def _shapes(machine: Machine, split: Split, outcome: Outcome) -> list[Leftover]:
@@ -532,8 +552,31 @@ def _mean_force_error(machine: Machine, runs: Sequence[Run], values: Array) -> f
     return float(np.average(errors, weights=weights))
 
 
-Part = tuple[str, bool, Log, int, int]
-"""Of a log: (unit, held out, log, first row, end)."""
+@dataclass(frozen=True)
+class Part:
+    """Rows first..end of a log, its unit, and whether it is held out."""
+
+    unit: str
+    held_out: bool
+    log: Log
+    first: int
+    end: int
+
+    @property
+    def duration_s(self) -> float:
+        """Time that its rows take, without gaps between them."""
+        return (self.end - self.first) * _row_s(self.log)
+
+    @property
+    def liveliness(self) -> float:
+        """Variance of a robot's commands."""
+        names = [f"wheel/{wheel}/duty" for wheel in range(1, 5)]
+        duties = [self.log.columns[name][self.first : self.end] for name in names]
+        return float(np.sum(np.var(np.nan_to_num(duties), axis=1)))
+
+
+def _row_s(log: Log) -> float:
+    return float(np.median(np.diff(log.t_s)))
 
 
 def split_runs(
@@ -551,71 +594,76 @@ def split_runs(
     series = list(dict.fromkeys(log.series for log in logs))
     if len(series) >= SERIES_TO_HOLD_OUT_WHOLE:
         held = [series[k] for k in _every_fifth(len(series))]
-        parts = [(log.series, log.series in held, log, 0, len(log.t_s)) for log in logs]
+        parts = [Part(log.series, log.series in held, log, 0, len(log.t_s)) for log in logs]
         how = WHOLE_RUNS[0]
     elif len(logs) >= RUNS_TO_HOLD_OUT_WHOLE:
         held = _every_fifth(len(logs))
-        parts = [(f"run {k}", k in held, log, 0, len(log.t_s)) for k, log in enumerate(logs)]
+        parts = [Part(f"run {k}", k in held, log, 0, len(log.t_s)) for k, log in enumerate(logs)]
         how = WHOLE_RUNS[1]
     elif len(logs) > 1:
-        parts = [(logs[-1].name, True, logs[-1], 0, len(logs[-1].t_s))]
+        parts = [Part(logs[-1].name, True, logs[-1], 0, len(logs[-1].t_s))]
         for log in logs[:-1]:
             parts += _cut(log, len(log.t_s), math.ceil(LEAST_UNITS / (len(logs) - 1)))
         how = "the last run held out; parts of the others check each other"
     else:
         [log] = logs
         end = round((1.0 - HELD_OUT_SHARE) * len(log.t_s))
-        parts = [*_cut(log, end, LEAST_UNITS), (log.name, True, log, end, len(log.t_s))]
+        parts = [*_cut(log, end, LEAST_UNITS), Part(log.name, True, log, end, len(log.t_s))]
         how = "one run only: its last quarter held out, parts of the rest check each other"
     used = parts
     if machine.kind == "robot":
-        used = _liveliest([part for part in parts if not part[1]], MOST_FITTED_S)
-        used += _liveliest([part for part in parts if part[1]], MOST_HELD_OUT_S)
+        used = _liveliest([part for part in parts if not part.held_out], MOST_FITTED_S)
+        used += _liveliest([part for part in parts if part.held_out], MOST_HELD_OUT_S)
     fitting, held_out = [], []
-    for unit, is_held_out, log, first, last in used:
-        runs = [replace(r, unit=unit) for r in usable_runs(machine, log, pushes, first, last)]
-        (held_out if is_held_out else fitting).extend(runs)
-    whole_s, used_s = (sum(map(_duration_s, some)) for some in (parts, used))
+    for part in used:
+        runs = usable_runs(machine, part.log, pushes, part.first, part.end)
+        (held_out if part.held_out else fitting).extend(replace(r, unit=part.unit) for r in runs)
     thinned = None
-    if used_s < whole_s:
-        thinned = f"{used_s:.0f} of {whole_s:.0f} s are used: the liveliest stretches of the logs"
+    if len(used) > len(parts) or sum(p.duration_s for p in used) < sum(p.duration_s for p in parts):
+        whole_s = sum(part.duration_s for part in parts)
+        fitted_s, held_s = (sum(run.duration_s for run in runs) for runs in (fitting, held_out))
+        thinned = (
+            f"of {whole_s:.0f} s the liveliest stretches are used: {fitted_s:.0f} s are fitted, "
+            f"{held_s:.0f} s held out"
+        )
     return Split(fitting, held_out, how, thinned)
 
 
 def _liveliest(parts: Sequence[Part], most_s: float) -> list[Part]:
-    """Return the parts, or stretches of them of `most_s` together.
+    """Return the parts, or stretches of them of some `most_s` together.
 
-    One of each stratum, so that what drifts and what is met in one place only is seen: that in
-    which the commands vary most.
+    From each stratum of a unit, so that what drifts and what is met in one place only is seen, that
+    in which the commands vary most; where there are more units than stretches, from each stratum of
+    all. Stretches begin at the same times of all logs: manoeuvres that are repeated stay so.
     """
-    if sum(map(_duration_s, parts)) <= most_s:
+    if sum(part.duration_s for part in parts) <= most_s:
         return list(parts)
-    stretches = [
-        (unit, held_out, log, begin, end)
-        for unit, held_out, log, first, last in parts
-        for begin, end in _even_parts(log, first, last, STRETCH_S)
-    ]
-    mean_s = sum(map(_duration_s, stretches)) / len(stretches)
-    strata = np.array_split(np.arange(len(stretches)), max(int(most_s / mean_s), 1))
-    return [stretches[max(own, key=lambda k: _liveliness(stretches[k]))] for own in strata]
+    units: dict[str, list[Part]] = {}
+    for part in parts:
+        units.setdefault(part.unit, []).extend(_stretches(part))
+    stretches = [one for own in units.values() for one in own]
+    mean_s = sum(one.duration_s for one in stretches) / len(stretches)
+    share = min(most_s / mean_s / len(stretches), 1.0)
+    groups = list(units.values()) if share * len(stretches) >= len(units) else [stretches]
+    chosen = []
+    for own in groups:
+        strata = np.array_split(np.arange(len(own)), max(round(share * len(own)), 1))
+        chosen += [max((own[k] for k in some), key=lambda one: one.liveliness) for some in strata]
+    return chosen
 
 
-def _liveliness(part: Part) -> float:
-    """Return the variance of the commands of a part of a robot's log."""
-    _, _, log, first, last = part
-    duties = [log.columns[f"wheel/{wheel}/duty"][first:last] for wheel in range(1, 5)]
-    return float(np.sum(np.var(np.nan_to_num(duties), axis=1)))
-
-
-def _duration_s(part: Part) -> float:
-    _, _, log, first, last = part
-    return float(log.t_s[last - 1] - log.t_s[first])
-
-
-def _even_parts(log: Log, first: int, last: int, longest_s: float) -> list[tuple[int, int]]:
-    """Cut rows first..last of a log into even parts of `longest_s` at most: (begin, end)."""
-    count = max(math.ceil((log.t_s[last - 1] - log.t_s[first]) / longest_s), 1)
-    return list(pairwise(np.linspace(first, last, count + 1).round().astype(int).tolist()))
+def _stretches(part: Part) -> list[Part]:
+    """Cut a part at multiples of some seconds since its log began, slivers left to neighbours."""
+    length_s = max(STRETCH_S, 2 * LEAST_ROWS * _row_s(part.log))
+    number = ((part.log.t_s[part.first : part.end] - part.log.t_s[0]) / length_s).astype(int)
+    edges = part.first + np.flatnonzero(np.diff(number)) + 1
+    least = 0.5 * length_s / _row_s(part.log)
+    inner, begin = [], part.first
+    for edge in edges:
+        if edge - begin >= least and part.end - edge >= least:
+            inner.append(int(edge))
+            begin = edge
+    return [replace(part, first=a, end=b) for a, b in pairwise([part.first, *inner, part.end])]
 
 
 def usable_runs(
@@ -637,8 +685,9 @@ def usable_runs(
         before = [] if machine.kind == "odometry" else [(begin, pose)]
         for rows in (*before, (pose, end)):
             if rows[1] - rows[0] >= LEAST_ROWS and np.ptp(log.t_s[slice(*rows)]) >= LEAST_S:
-                longest_s = LONGEST_RUN_S if machine.kind == "robot" else np.inf
-                parts = _even_parts(log, *rows, longest_s)
+                longest = LONGEST_RUN_S / _row_s(log) if machine.kind == "robot" else np.inf
+                count = max(math.ceil((rows[1] - rows[0]) / longest), 1)
+                parts = pairwise(np.linspace(*rows, count + 1).round().astype(int).tolist())
                 runs += [make_run(machine, log, *part) for part in parts]
     return runs
 
@@ -654,7 +703,7 @@ def _cut(log: Log, end: int, count: int) -> list[Part]:
     count = max(2, min(count, int((log.t_s[end - 1] - log.t_s[0]) / LEAST_PART_S)))
     edges = np.linspace(0, end, count + 1).round().astype(int)
     return [
-        (f"{log.name}, part {k + 1}", False, log, int(first), int(last))
+        Part(f"{log.name}, part {k + 1}", False, log, int(first), int(last))
         for k, (first, last) in enumerate(pairwise(edges))
     ]
 

@@ -32,7 +32,7 @@ PULL = 0.04
 """Information of the guess about each logarithm: a standard deviation of five."""
 COLOUR_RATE_1_S = 100.0
 COLOUR_RATES_1_S = (40.0, 600.0)
-"""What lasts longer is physics to be named; what is shorter is white."""
+"""To choose a model: what lasts longer may be what is missing, what is shorter is white."""
 LASTING_RATE_1_S = 9.0
 """Rate down to which chance may fade where nothing is to be named any more but a model is judged: a
 bandwidth of 1.4 Hz. Replays of a second feel it: what fades in a tenth of a second doubles their
@@ -171,7 +171,7 @@ def tune_noise(
     chosen = _some_runs(runs)
     make, start_of = NOISES[machine.kind]
     guess = start_of(chosen)
-    if machine.kind == "robot":
+    if machine.engine.pushes:
         guess.low[COLOUR_RATE] = np.log(slowest_1_s)
     logs = trial = guess.logs if start is None else np.clip(start.logs, guess.low, guess.high)
     best = -np.inf
@@ -191,6 +191,16 @@ def tune_noise(
         if gained < CONVERGED:
             break
     return make(machine, logs)
+
+
+def judging_noise(machine: Machine, runs: Sequence[Run], values: Array, noise: Noise) -> Noise:
+    """Return the noise by which replays of a model are judged: its chance may last as long as any.
+
+    From the `noise` that it was chosen by; that itself for machines without disturbances.
+    """
+    if not machine.engine.pushes:
+        return noise
+    return tune_noise(machine, runs, values, noise, slowest_1_s=LASTING_RATE_1_S)
 
 
 class _Path:
@@ -348,7 +358,7 @@ def _robot_start(runs: Sequence[Run]) -> Guess:
     places = [3, 4, 5, *range(12, len(logs))]
     low[places] = np.minimum(quiet, moving) - SENSOR_MARGIN
     high[places] = moving + SENSOR_MARGIN
-    low[COLOUR_RATE], high[COLOUR_RATE] = np.log(COLOUR_RATES_1_S)
+    high[COLOUR_RATE] = np.log(COLOUR_RATES_1_S[1])
     return Guess(logs, low, high)
 
 

@@ -28,6 +28,7 @@ ELECTRIC_CHANNELS = ("supply/voltage_v", *(f"wheel/{wheel}/current_a" for wheel 
 
 ODOMETRY_CHANNELS = ("pose/forward_m", "pose/lateral_m", "pose/theta_rad")
 """Errors of an odometry are told along and across the robot (`body_errors`)."""
+PAST_S = 0.1
 
 
 @dataclass(frozen=True)
@@ -260,9 +261,11 @@ def _robot_signals(
 
 
 def _past_currents(machine: Machine, log: Log, begin: int) -> tuple[Array, Array]:
-    """Return lengths (rows,) of a log's rows before `begin` and squares (rows, 4) of the currents.
+    """Return lengths (stretches,) of a log before `begin` and squares (stretches, 4) of currents.
 
     As the believed motors would let them through when cold: windings are warm where a piece begins.
+    They forget in tens of seconds, so means over `PAST_S` do. Where rows are missing for longer
+    nothing is known to flow.
     """
     command, outputs, _ = _robot_signals(machine, log, slice(0, begin + 1), log.t_s[: begin + 1])
     values, length_s = machine.model.values, np.diff(log.t_s[: begin + 1])
@@ -270,7 +273,12 @@ def _past_currents(machine: Machine, log: Log, begin: int) -> tuple[Array, Array
     driving_v = float(values["motor.supply_v"]) * command[:-1]
     driving_v = driving_v - float(values["motor.back_emf_constant_v_s_rad"]) * speed
     current_a = driving_v / float(values["motor.resistance_ohm"])
-    return length_s, np.nan_to_num(current_a) ** 2
+    stretch = ((log.t_s[:begin] - log.t_s[0]) / PAST_S).astype(int)
+    first = np.flatnonzero(np.diff(stretch, prepend=-1))
+    current_a[length_s > PAST_S] = 0.0
+    heat = np.add.reduceat(length_s[:, None] * np.nan_to_num(current_a) ** 2, first, axis=0)
+    whole_s = np.add.reduceat(length_s, first)
+    return whole_s, heat / whole_s[:, None]
 
 
 def _unwrap_sampled(angle_rad: Array) -> Array:

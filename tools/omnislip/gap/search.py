@@ -78,7 +78,7 @@ RIVAL_MARGIN, NEARLY = 10.0, 0.01
 """Gain beyond chance within which rivals cannot be told apart; and share of an effect's gain within
 which the noise that was tuned beside it may have decided against a rival."""
 NEARLY_AT_FIRST = 0.1
-"""The second where none of both has been in the model: its noise fits neither."""
+"""The second where neither has been in the model: its noise fits neither."""
 EQUAL = 1.0
 """Gains that differ by less are the same."""
 CONVERGED = 0.05
@@ -230,7 +230,11 @@ def search(
         delay = next((c for c in candidates if c.effect == DELAY), None)
         further = ahead.far_delay(delay, accepted) if delay else None
         if further is not None:
-            found = [(_gives_way(trial, further.trial), one) for trial, one in found]
+            reason = "explains less than a delay of more rows"
+            found = [
+                (replace(trial, accepted=False, reason=reason) if trial.accepted else trial, one)
+                for trial, one in found
+            ]
         elif accepted is None:
             further = ahead.best(found, worth)
         trials += [*(trial for trial, _ in found), *ahead.trials]
@@ -645,56 +649,61 @@ def _try(
     passed = [pair for pair in judged if pair[0].accepted]
     if not passed:
         return judged
-    taken = _taken(data, passed, progress)
-    return [(trial if trial is taken else _gives_way(trial, taken), one) for trial, one in judged]
+    best, taken = passed[0][0], _taken(data, passed, progress)
+
+    def reason(trial: Trial) -> str:
+        own = "each by the noise that fits it"
+        if taken is not best and trial is taken:
+            return f"explains nearly as much as {best.candidate.name} and is likelier, {own}"
+        if taken is not best and trial is best:
+            return f"is less likely than {taken.candidate.name}, {own}"
+        return trial.reason if trial is taken else f"explains less than {taken.candidate.name}"
+
+    return [
+        (replace(trial, accepted=trial is taken, reason=reason(trial)), one)
+        if trial.accepted
+        else (trial, one)
+        for trial, one in judged
+    ]
 
 
 def _taken(data: Data, passed: Sequence[tuple[Trial, Fit]], progress: Progress) -> Trial:
-    """Return which candidate is taken: what explains most, or as much nearly and is likelier.
+    """Return what explains most of the candidates that pass, or as much nearly and is likelier.
 
     With no more parameters, and each by the noise that fits it: that of a model which lacks both is
     large, and to it they differ little. Beside a torque constant 10 % too large, wheels 6 % too
     large explained 0.5 % less than a scale of the encoders, and were likelier by exp(238).
     """
     (best, fitted), *others = passed
-    least = fitted.objective + max(RIVAL_MARGIN, NEARLY_AT_FIRST * best.evidence.gain)
+    inflation = best.evidence.inflation
+    most = fitted.objective + max(RIVAL_MARGIN * inflation, NEARLY_AT_FIRST * best.evidence.gain)
     near = [
         (trial, one)
         for trial, one in others
-        if one.objective < least and len(trial.values) <= len(best.values)
-    ]
+        if one.objective < most and len(trial.values) <= len(best.values)
+    ][:RIVALS]
     if not near or not _likelihood_judges(data):
         return best
     names = ", ".join(trial.candidate.name for trial, _ in near)
     progress(f"comparing {best.candidate.name} and {names}, each by its own noise")
-
-    def likelihood(pair: tuple[Trial, Fit]) -> float:
-        _, one = pair
-        try:
-            own = settle(data.machine, data.runs, one.hypothesis, data.noise, last=one.jacobian)
-        except RunawayError:
-            return -np.inf
-        return _log_posterior(*own)
-
-    own, *theirs = side_by_side(likelihood, [passed[0], *near])
+    own, *theirs = side_by_side(lambda pair: _own_likelihood(data, pair[1]), [passed[0], *near])
     likeliest = int(np.argmax(theirs))
-    enough = own + 0.5 * RIVAL_MARGIN * best.evidence.inflation
+    enough = own + 0.5 * RIVAL_MARGIN * inflation
     return near[likeliest][0] if theirs[likeliest] > enough else best
+
+
+def _own_likelihood(data: Data, fitted: Fit) -> float:
+    """Return the log posterior of a model by the noise that fits it."""
+    try:
+        own = settle(data.machine, data.runs, fitted.hypothesis, data.noise, last=fitted.jacobian)
+    except RunawayError:
+        return -np.inf
+    return _log_posterior(*own)
 
 
 def _likelihood_judges(data: Data) -> bool:
     """Whether no controller answers within rows (answers.py)."""
     return not data.answers or data.machine.holds_commands
-
-
-def _gives_way(trial: Trial, taken: Trial) -> Trial:
-    if not trial.accepted:
-        return trial
-    name = taken.candidate.name
-    reason = f"explains less than {name}"
-    if trial.evidence.gain > taken.evidence.gain:
-        reason = f"is less likely than {name}, each by the noise that fits it"
-    return replace(trial, accepted=False, reason=reason)
 
 
 def _judge(
