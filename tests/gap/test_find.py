@@ -517,6 +517,62 @@ def test_what_is_held_out_changes_nothing_of_the_fit(axis, tmp_path):
     assert [one["name"] for one in spoilt["nearest"]] == ["coulomb_friction"]
 
 
+@pytest.mark.parametrize(
+    ("excess", "high", "verdict"),
+    [(0.1, 0.3, "no_gap"), (0.1, 0.7, "effect_found"), (9.0, 0.3, "unknown_effect")],
+)
+def test_names_that_close_nothing_on_held_out_runs_are_not_given(
+    tmp_path, monkeypatch, excess, high, verdict
+):
+    """Where little is off there, nothing is missing that shows."""
+    told = find.gap_table
+
+    def table(*replays):
+        return replace(told(*replays), left=Left(excess, 0.1), closed=Closed(-0.5, -1.0, high))
+
+    monkeypatch.setattr(find, "gap_table", table)
+    findings = found(*axis_case(tmp_path))
+    answer = to_json(findings)
+    assert answer["verdict"] == verdict
+    assert ("coulomb_friction would explain" in answer["sentence"]) == (verdict == "no_gap")
+    if verdict == "no_gap":
+        assert "(-100 to 30 %)" in answer["sentence"]
+        assert answer["effects"] == [] == findings.amended.effects
+        assert answer["gap"]["closed_fraction"]["value"] is None
+        rmse = answer["gap"]["channels"]["axis/position_m"]
+        assert rmse["after"] == rmse["refit"]
+
+
+@pytest.mark.parametrize(
+    ("first", "final", "held"),
+    [
+        (1.0, -1e3, [True, False]),
+        (1.0, -50.0, [True]),
+        (-1.0, 1e3, [False, True]),
+        (-1.0, 50.0, [False]),
+    ],
+)
+def test_commands_are_asked_again_by_the_final_model(tmp_path, monkeypatch, first, final, held):
+    """Searched again, with runs to match, only where the first answer was surely wrong."""
+    answers, searched = [first], []
+    looked = find.search
+
+    def search(machine, runs, noise, progress, start):
+        assert {run.held for run in runs} == {machine.holds_commands}
+        searched.append(machine.holds_commands)
+        return looked(machine, runs, noise, progress, start)
+
+    monkeypatch.setattr(find, "search", search)
+    monkeypatch.setattr(find, "likelier_held", lambda *_: answers.pop() if answers else final)
+    case = TruthCase(seed=4, runs=3, run_duration_s=3.0, excitation="ordinary")
+    write_case(case, tmp_path)
+    findings = find_gap(tmp_path / "robot.toml", sorted(tmp_path.glob("run_*.csv")), silent)
+    assert searched == held
+    assert findings.machine.holds_commands == held[-1]
+    assert findings.outcome.data.machine.holds_commands == held[-1]
+    assert (find.HELD_COMMANDS in findings.recording) == held[-1]
+
+
 def stretches(runs):
     """(name, row time) of every row."""
     return {(run.name, float(t)) for run in runs for t in run.t_s}

@@ -184,6 +184,10 @@ class Outcome:
     limits: dict[str, dict[str, float]]
     data: Data
 
+    def without_effects(self) -> "Outcome":
+        """Return the outcome with the base fit as the final one."""
+        return replace(self, final=self.base, ladder=self.ladder[:1], selected=())
+
 
 @dataclass(frozen=True)
 class Screened:
