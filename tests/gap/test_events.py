@@ -1,5 +1,6 @@
 """Impacts: found at their time, sized with the plant, cut out of the logs."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -87,6 +88,7 @@ def test_what_begins_while_wheels_slide_begins_with_no_push(tmp_path, monkeypatc
     ]
     assert find_impacts(machine, pieces, machine.believed, noise) == []
     monkeypatch.setattr(events, "SLOW_M_S", np.inf)
+    pieces = [replace(piece, log_begin_s=float(piece.t_s[0])) for piece in pieces]
     assert len(find_impacts(machine, pieces, machine.believed, noise)) >= 3
 
 

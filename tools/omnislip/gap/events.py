@@ -408,14 +408,15 @@ class _Pushes:
         self.carry = transition - transition @ gain @ slope
         self.horizon = max(3, round(HORIZON_S / run.row_s))
         self.t_s = run.t_s
-        # At rest the first state is known. Else it is what the wheels say, and where they slide the
-        # filter has to find out how the robot goes.
+        # A log that begins at rest begins from a known state. Else it is what the wheels say, and
+        # where they slide the filter has to find out how the robot goes.
         values = machine.model.values
         rim_m = float(values["robot.wheel_radius_m"]) / float(values["motor.gear_ratio"])
         rim_m_s = rim_m * np.abs(track.state.reshape(rows, -1)[0, :4])
-        unknown_s = HORIZON_S if rim_m_s.max() < SLOW_M_S else _core.SETTLE_S
+        at_rest = run.time_s[0] == 0.0 and rim_m_s.max() < SLOW_M_S
+        unknown_s = HORIZON_S if at_rest else _core.SETTLE_S
         self.first = int(np.searchsorted(run.t_s, run.t_s[0] + unknown_s))
-        self.earliest = 1 if unknown_s == HORIZON_S else self.first
+        self.earliest = 1 if at_rest else self.first
 
     def ratios(self) -> tuple[Array, Array, Array]:
         """Return g, the jump and the explained share for a push before each row."""
