@@ -28,7 +28,7 @@ from omnislip.gap.metrics import Closed, Left
 from omnislip.gap.plan import Manoeuvre, Separation
 from omnislip.gap.search import Selected
 from omnislip.gap.truth import TruthCase, write_case
-from omnislip.gap.truth_effects import typical_effect
+from omnislip.gap.truth_effects import HiddenEffect, typical_effect
 from omnislip.log_file import POSE_COLUMNS, Log, write_log
 from omnislip.model_file import NOMINAL_ROBOT, read_model
 
@@ -552,20 +552,20 @@ def test_names_that_close_nothing_on_held_out_runs_are_not_given(
         (-1.0, 50.0, [False]),
     ],
 )
-def test_commands_are_asked_again_by_the_final_model(tmp_path, monkeypatch, first, final, held):
+def test_commands_are_asked_again_by_a_better_model(tmp_path, monkeypatch, first, final, held):
     """Searched again, with runs to match, only where the first answer was surely wrong."""
     answers, searched = [first], []
     looked = find.search
 
-    def search(machine, runs, noise, progress, start):
+    def search(machine, runs, *rest):
         assert {run.held for run in runs} == {machine.holds_commands}
         searched.append(machine.holds_commands)
-        return looked(machine, runs, noise, progress, start)
+        return looked(machine, runs, *rest)
 
     monkeypatch.setattr(find, "search", search)
     monkeypatch.setattr(find, "likelier_held", lambda *_: answers.pop() if answers else final)
-    case = TruthCase(seed=4, runs=3, run_duration_s=3.0, excitation="ordinary")
-    write_case(case, tmp_path)
+    weak = HiddenEffect("weak_motor", {"scale": 0.8}, 2).as_dict()
+    write_case(TruthCase(seed=4, effects=(weak,), runs=3, run_duration_s=3.0), tmp_path)
     findings = find_gap(tmp_path / "robot.toml", sorted(tmp_path.glob("run_*.csv")), silent)
     assert searched == held
     assert findings.machine.holds_commands == held[-1]

@@ -5,6 +5,7 @@ import json
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -47,6 +48,7 @@ from omnislip.gap.recordings import (
 from omnislip.gap.search import (
     CONFIDENCE,
     SURE_GAIN,
+    MistakenError,
     Outcome,
     Selected,
     Trial,
@@ -83,7 +85,7 @@ FEW_RUNS = (
     "other parts were fitted: a name may change with more."
 )
 SURELY_MISTAKEN = 100.0
-"""Log-likelihood by which the final model has to show that commands are not what a first one took
+"""Log-likelihood by which a better model has to show that commands are not what the first took
 them for, held within rows or not: beside a delay of two rows that is missing they are 7,000 off,
 and what smooth commands do within rows tells 10 to 70 and nothing about effects."""
 HELD_COMMANDS = "duties: taken as held from row to row, as a controller at the rate of the log does"
@@ -243,25 +245,29 @@ def find_gap(
         noise, first = first_model(machine, held, (noise, first))
     runs = [run for log in logs for run in usable_runs(machine, log, cuts)]
     impacts = find_impacts(machine, runs, first.flat(machine.believed), noise)
-    for left in reversed(range(3)):  # again where only the final model shows pushes or commands
+    for left in reversed(range(3)):  # again where only a better model shows pushes or commands
         pushes = cuts + [(impact.run, impact.time_s) for impact in impacts]
         split = split_runs(machine, logs, pushes)
         if not split.enough:
             return _insufficient(machine, _too_cut(split), inputs, told, wirings)
-        outcome = search(machine, split.fitting, noise, progress, first.without_effects())
+        mistaken = partial(_takes_commands_wrongly, machine, split.fitting) if left else None
+        try:
+            outcome = search(
+                machine, split.fitting, noise, progress, first.without_effects(), mistaken
+            )
+        except MistakenError:
+            machine = machine.of(model, holds_commands=not machine.holds_commands)
+            progress(f"again with duties {'held' if machine.holds_commands else 'moving'} in rows")
+            fitting = split_runs(machine, logs, pushes).fitting
+            noise, first = first_model(machine, fitting, (noise, first))
+            runs = [run for log in logs for run in usable_runs(machine, log, cuts)]
+            impacts = find_impacts(machine, runs, first.flat(machine.believed), noise)
+            continue
         progress("looking for impacts with the final model")
         values = outcome.final.hypothesis.flat(machine.believed)
-        seen_by = outcome.data.noise
-        if left and _takes_commands_wrongly(machine, logs, pushes, split, values, seen_by):
-            machine = machine.of(model, holds_commands=not machine.holds_commands)
-            noise, first = first_model(
-                machine, split_runs(machine, logs, pushes).fitting, (noise, first)
-            )
-            values, seen_by = first.flat(machine.believed), noise
-            runs = [run for log in logs for run in usable_runs(machine, log, cuts)]
-        confirmed = find_impacts(machine, runs, values, seen_by)
+        confirmed = find_impacts(machine, runs, values, outcome.data.noise)
         cut_out = [new for new in confirmed if any(new.near(old) for old in impacts)]
-        settled = len(cut_out) == len(confirmed) and machine is outcome.data.machine
+        settled = len(cut_out) == len(confirmed)
         impacts = confirmed if left else cut_out  # what was fitted as well is not to be told
         if settled:
             break
@@ -387,19 +393,15 @@ def _unproven_words(selected: Sequence[Selected], table: GapTable) -> str:
 
 
 def _takes_commands_wrongly(
-    machine: Machine,
-    logs: Sequence[Log],
-    pushes: Sequence[tuple[str, float]],
-    split: Split,
-    values: Array,
-    noise: Noise,
+    machine: Machine, runs: Sequence[Run], values: Array, noise: Noise
 ) -> bool:
-    """Whether a final model shows that commands within rows are not what a first one made them."""
+    """Whether a model shows that commands within rows are not what a first one took them for."""
     if not machine.holds_commands:
-        return likelier_held(machine, split.fitting, values, noise) > SURELY_MISTAKEN
+        return likelier_held(machine, runs, values, noise) > SURELY_MISTAKEN
     moving = machine.of(machine.model, holds_commands=False)
-    runs = split_runs(moving, logs, pushes).fitting
-    return -likelier_held(moving, runs, values, noise) > SURELY_MISTAKEN
+    return (
+        -likelier_held(moving, [r.moving_in_rows() for r in runs], values, noise) > SURELY_MISTAKEN
+    )
 
 
 def _shapes(machine: Machine, split: Split, outcome: Outcome) -> list[Leftover]:

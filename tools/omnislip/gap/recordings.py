@@ -98,6 +98,10 @@ class Run:
         run = replace(self, command=command, recording=self.recording.commanded(command))
         return run if self.held else replace(run, recording=run.recording.rising(run.rise))
 
+    def moving_in_rows(self) -> "Run":
+        """Return the run as if commands moved within rows as the means of those tell."""
+        return replace(self, held=False).commanded(self.command)
+
     def held_in_rows(self) -> "Run":
         """Return the run as if commands had been held within rows."""
         return replace(self, held=True, recording=self.recording.rising(0.0 * self.command))
@@ -144,7 +148,7 @@ def make_run(machine: Machine, log: Log, begin: int = 0, end: int | None = None)
     )
     if machine.kind != "robot" or machine.holds_commands:
         return run
-    return replace(run, held=False).commanded(run.command)
+    return run.moving_in_rows()
 
 
 def first_pose(log: Log, begin: int, end: int) -> int:

@@ -189,6 +189,10 @@ class Outcome:
         return replace(self, final=self.base, ladder=self.ladder[:1], selected=())
 
 
+class MistakenError(Exception):
+    """A better model shows that the runs are not what they were taken for."""
+
+
 @dataclass(frozen=True)
 class Screened:
     """A candidate with the gain that the linearised model promises and the sizes to start from."""
@@ -207,10 +211,13 @@ def search(
     noise: Noise | None,
     progress: Progress,
     start: Hypothesis | None = None,
+    mistaken: Callable[[Array, Noise], bool] | None = None,
 ) -> Outcome:
     """Find the missing effects on runs of two units or more.
 
     From a first `noise` and believed keys `start` that fit better than the file's, or none.
+    `mistaken` is asked, by the values and noise of each better model, whether what the runs were
+    taken for was wrong; then MistakenError is raised.
     """
     candidates = machine.candidates_for(runs)
     tried = sum(len(candidate.starts) for candidate in candidates)
@@ -267,6 +274,8 @@ def search(
         except RunawayError:
             trials = [_lost(trial) if trial.step == step else trial for trial in trials]
             break
+        if mistaken is not None and mistaken(current.hypothesis.flat(machine.believed), data.noise):
+            raise MistakenError
         settled = current
         data, current = _patch_settled(data, _extend(machine, data, current))
         current = _drop_needless(data, current, tried)
