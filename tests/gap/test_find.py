@@ -519,7 +519,12 @@ def test_what_is_held_out_changes_nothing_of_the_fit(axis, tmp_path):
 
 @pytest.mark.parametrize(
     ("excess", "high", "verdict"),
-    [(0.1, 0.3, "no_gap"), (0.1, 0.7, "effect_found"), (9.0, 0.3, "unknown_effect")],
+    [
+        (0.1, 0.3, "no_gap"),
+        (0.1, 0.7, "effect_found"),
+        (0.1, None, "effect_found"),  # the name is stable
+        (9.0, 0.3, "unknown_effect"),
+    ],
 )
 def test_names_that_close_nothing_on_held_out_runs_are_not_given(
     tmp_path, monkeypatch, excess, high, verdict
@@ -528,7 +533,8 @@ def test_names_that_close_nothing_on_held_out_runs_are_not_given(
     told = find.gap_table
 
     def table(*replays):
-        return replace(told(*replays), left=Left(excess, 0.1), closed=Closed(-0.5, -1.0, high))
+        closed = Closed(None, None, None) if high is None else Closed(-0.5, -1.0, high)
+        return replace(told(*replays), left=Left(excess, 0.1), closed=closed)
 
     monkeypatch.setattr(find, "gap_table", table)
     findings = found(*axis_case(tmp_path))
@@ -541,6 +547,17 @@ def test_names_that_close_nothing_on_held_out_runs_are_not_given(
         assert answer["gap"]["closed_fraction"]["value"] is None
         rmse = answer["gap"]["channels"]["axis/position_m"]
         assert rmse["after"] == rmse["refit"]
+
+
+@pytest.mark.parametrize(
+    ("high", "stability", "proven"),
+    [(0.3, [1.0], False), (0.7, [0.5], True), (None, [0.7, 0.8], False), (None, [0.7, 1.0], True)],
+)
+def test_where_nothing_is_off_on_held_out_runs_a_name_has_to_be_stable(high, stability, proven):
+    effects = [replace(selected("coulomb_friction", 100.0), stability=one) for one in stability]
+    closed = Closed(None, None, None) if high is None else Closed(0.2, 0.1, high)
+    table = SimpleNamespace(left=Left(0.1, 0.1), closed=closed, floor_source="repeated manoeuvres")
+    assert find._closes_nothing(effects, table) != proven
 
 
 @pytest.mark.parametrize(
