@@ -131,7 +131,7 @@ LEAST_TRAVEL = 20.0
 LEAST_ROWS, LEAST_S = 50, 2 * _core.SETTLE_S
 """Of a piece that is used; the filter's settling does not count."""
 LONGEST_RUN_S = 60.0
-"""Of a robot's log that is filtered at once: its matrices take 5 MB per second at 200 Hz."""
+"""Of a robot's log that is filtered at once: its matrices take 1.6 MB per second at 200 Hz."""
 STRETCH_S, MOST_FITTED_S, MOST_HELD_OUT_S = 10.0, 120.0, 40.0
 """Of a robot's longer logs the liveliest stretches are fitted and held out, so much together: 40 s
 name what shows at all, and time and memory go with what is fitted."""
