@@ -358,7 +358,7 @@ def _robot_start(runs: Sequence[Run]) -> Guess:
     places = [3, 4, 5, *range(12, len(logs))]
     low[places] = np.minimum(quiet, moving) - SENSOR_MARGIN
     high[places] = moving + SENSOR_MARGIN
-    high[COLOUR_RATE] = np.log(COLOUR_RATES_1_S[1])
+    low[COLOUR_RATE], high[COLOUR_RATE] = np.log(COLOUR_RATES_1_S)
     return Guess(logs, low, high)
 
 
