@@ -50,7 +50,7 @@ def found(tmp_path_factory):
 
 def test_the_figures_are_those_of_find_but_for_the_noise(found, monkeypatch):
     findings, told, models, held_out = found
-    monkeypatch.setattr(evaluate, "tune_noise", lambda *_, **__: findings.outcome.data.noise)
+    monkeypatch.setattr(evaluate, "tune_noise", lambda *_: findings.outcome.data.noise)
     for name, model in models.items():
         figures = evaluate_model(model, held_out, silent)["channels"][CHANNEL]
         assert figures["rmse"] == pytest.approx(told[name], rel=1e-6)
@@ -82,7 +82,7 @@ def test_evaluate_tells_the_better_model(tmp_path):
 
 def test_runs_of_one_name_in_two_folders_are_two(tmp_path, monkeypatch):
     """Each counts as much as the other, however long."""
-    monkeypatch.setattr(evaluate, "tune_noise", lambda *_, **__: true_noise())
+    monkeypatch.setattr(evaluate, "tune_noise", lambda *_: true_noise())
     files = []
     for day, bench in enumerate((Bench(), Bench(coulomb_n=2.0))):
         (tmp_path / f"day_{day}").mkdir()

@@ -12,13 +12,13 @@ from omnislip.gap.machine import Machine
 from omnislip.gap.noise import (
     COLOUR_RATES_1_S,
     CONVERGED,
-    LASTING_RATE_1_S,
     NOISES,
     PULL,
     SENSOR_MARGIN,
     STEP_S,
     Noise,
     RunawayError,
+    judging_noise,
     track_all,
     track_recordings,
     tune_noise,
@@ -254,7 +254,7 @@ def test_chance_fades_as_fast_as_it_does_where_a_model_is_judged(corner_hz, rate
     machine = Machine(read_model(NOMINAL_ROBOT))
     runs = runs_of(machine, TruthCase(3, runs=6, run_duration_s=4.0, base_offset_sd=0.0))
     chosen = tune_noise(machine, runs, machine.believed)
-    judged = tune_noise(machine, runs, machine.believed, chosen, slowest_1_s=LASTING_RATE_1_S)
+    judged = judging_noise(machine, runs, machine.believed, chosen)
     assert judged.colour_rate_1_s == pytest.approx(rate_1_s, rel=0.2)
     assert chosen.colour_rate_1_s == pytest.approx(max(rate_1_s, COLOUR_RATES_1_S[0]), rel=0.2)
 

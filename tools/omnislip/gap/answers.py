@@ -201,12 +201,13 @@ def likelier_held(machine: Machine, runs: Sequence[Run], values: Array, noise: N
     if machine.kind != "robot":
         return -np.inf
     tracks = track_all(machine, runs, values, noise, keep_linear=True)
-    held = track_all(machine, [run.held_in_rows() for run in runs], values, noise)
-    moved, still = (sum(t.log_likelihood for t in each) for each in (tracks, held))
+    moved = sum(track.log_likelihood for track in tracks)
+    if np.isfinite(moved) and news_of(machine, runs, tracks).share > ROW_BY_ROW:
+        return np.inf
+    held = [run.held_in_rows() for run in runs]
+    still = sum(track.log_likelihood for track in track_all(machine, held, values, noise))
     if not np.isfinite(moved):  # the filter lost the robot
         return np.inf if np.isfinite(still) else 0.0
-    if news_of(machine, runs, tracks).share > ROW_BY_ROW:
-        return np.inf
     return float(np.nan_to_num(still - moved, nan=-np.inf))
 
 

@@ -21,7 +21,7 @@ from omnislip.gap.answers import likelier_held
 from omnislip.gap.balances import Balance, find_balances
 from omnislip.gap.events import Impact, as_effect, find_impacts, known_pushes, pieces, too_often
 from omnislip.gap.gates import check, logged_set_points, rows_far_apart, too_poor
-from omnislip.gap.inference import Data, at_bound, fit, prior_penalty
+from omnislip.gap.inference import Data, Hypothesis, at_bound, fit, prior_penalty
 from omnislip.gap.inverse import relative_force_error
 from omnislip.gap.leftover import Leftover, find_shapes
 from omnislip.gap.machine import CURVE, EXTENSIONS, Machine, effect_and_wheel
@@ -240,11 +240,10 @@ def find_gap(
         return _insufficient(machine, _too_cut(known), inputs, told, wirings)
     noise, first = first_model(machine, known.fitting)
     if likelier_held(machine, known.fitting, first.flat(machine.believed), noise) > 0.0:
+        held = _other_commands(machine, known.fitting)
         machine = machine.of(model, holds_commands=True)
-        held = [run.held_in_rows() for run in known.fitting]
         noise, first = first_model(machine, held, (noise, first))
-    runs = [run for log in logs for run in usable_runs(machine, log, cuts)]
-    impacts = find_impacts(machine, runs, first.flat(machine.believed), noise)
+    runs, impacts = _pushes_beside(machine, logs, cuts, first, noise)
     for left in reversed(range(3)):  # again where only a better model shows pushes or commands
         pushes = cuts + [(impact.run, impact.time_s) for impact in impacts]
         split = split_runs(machine, logs, pushes)
@@ -256,12 +255,11 @@ def find_gap(
                 machine, split.fitting, noise, progress, first.without_effects(), mistaken
             )
         except MistakenError:
+            fitting = _other_commands(machine, split.fitting)
             machine = machine.of(model, holds_commands=not machine.holds_commands)
             progress(f"again with duties {'held' if machine.holds_commands else 'moving'} in rows")
-            fitting = split_runs(machine, logs, pushes).fitting
             noise, first = first_model(machine, fitting, (noise, first))
-            runs = [run for log in logs for run in usable_runs(machine, log, cuts)]
-            impacts = find_impacts(machine, runs, first.flat(machine.believed), noise)
+            runs, impacts = _pushes_beside(machine, logs, cuts, first, noise)
             continue
         progress("looking for impacts with the final model")
         values = outcome.final.hypothesis.flat(machine.believed)
@@ -390,7 +388,7 @@ def _closes_nothing(selected: Sequence[Selected], table: GapTable) -> bool:
 def _unproven_words(selected: Sequence[Selected], table: GapTable) -> str:
     names, closed = " and ".join(one.candidate.name for one in selected), table.closed
     shown = "nothing is off by which to judge it"
-    if closed.value is not None and closed.low is not None and closed.high is not None:
+    if closed.high is not None:
         low, value, high = (
             f"{100 * share:.0f}" for share in (closed.low, closed.value, closed.high)
         )
@@ -408,9 +406,25 @@ def _takes_commands_wrongly(
     if not machine.holds_commands:
         return likelier_held(machine, runs, values, noise) > SURELY_MISTAKEN
     moving = machine.of(machine.model, holds_commands=False)
-    return (
-        -likelier_held(moving, [r.moving_in_rows() for r in runs], values, noise) > SURELY_MISTAKEN
-    )
+    likelier = likelier_held(moving, _other_commands(machine, runs), values, noise)
+    return -likelier > SURELY_MISTAKEN
+
+
+def _other_commands(machine: Machine, runs: Sequence[Run]) -> list[Run]:
+    """Return runs with their commands moving within rows where they are held, and held if not."""
+    return [r.moving_in_rows() if machine.holds_commands else r.held_in_rows() for r in runs]
+
+
+def _pushes_beside(
+    machine: Machine,
+    logs: Sequence[Log],
+    cuts: Sequence[tuple[str, float]],
+    model: Hypothesis,
+    noise: Noise,
+) -> tuple[list[Run], list[Impact]]:
+    """Return the runs of all logs and the impacts in them beside a model."""
+    runs = [run for log in logs for run in usable_runs(machine, log, cuts)]
+    return runs, find_impacts(machine, runs, model.flat(machine.believed), noise)
 
 
 def _shapes(machine: Machine, split: Split, outcome: Outcome) -> list[Leftover]:
@@ -611,9 +625,19 @@ class Part:
     end: int
 
     @property
+    def rows(self) -> int:
+        """How many."""
+        return self.end - self.first
+
+    @property
+    def row_s(self) -> float:
+        """Time from row to row."""
+        return _row_s(self.log, self.first, self.end)
+
+    @property
     def duration_s(self) -> float:
         """Time that its rows take, without gaps between them."""
-        return (self.end - self.first) * _row_s(self.log)
+        return self.rows * self.row_s
 
     @property
     def liveliness(self) -> float:
@@ -623,8 +647,14 @@ class Part:
         return float(np.sum(np.var(np.nan_to_num(duties), axis=1)))
 
 
-def _row_s(log: Log) -> float:
-    return float(np.median(np.diff(log.t_s)))
+def _row_s(log: Log, first: int, end: int) -> float:
+    """Return the median time from row to row of rows first..end of a log."""
+    return float(np.median(np.diff(log.t_s[first:end]))) if end - first > 1 else 0.0
+
+
+def _evenly(first: int, end: int, count: int) -> list[tuple[int, int]]:
+    """Cut rows first..end into `count` even parts: (begin, end)."""
+    return list(pairwise(np.linspace(first, end, count + 1).round().astype(int).tolist()))
 
 
 def split_runs(
@@ -667,7 +697,7 @@ def split_runs(
         runs = usable_runs(machine, part.log, pushes, part.first, part.end)
         (held_out if part.held_out else fitting).extend(replace(r, unit=part.unit) for r in runs)
     thinned = None
-    if len(used) > len(parts) or sum(p.duration_s for p in used) < sum(p.duration_s for p in parts):
+    if sum(part.rows for part in used) < sum(part.rows for part in parts):
         whole_s = sum(part.duration_s for part in parts)
         fitted_s, held_s = (sum(run.duration_s for run in runs) for runs in (fitting, held_out))
         thinned = (
@@ -702,10 +732,10 @@ def _liveliest(parts: Sequence[Part], most_s: float) -> list[Part]:
 
 def _stretches(part: Part) -> list[Part]:
     """Cut a part at multiples of some seconds since its log began, slivers left to neighbours."""
-    length_s = max(STRETCH_S, 2 * LEAST_ROWS * _row_s(part.log))
+    length_s = max(STRETCH_S, 2 * LEAST_ROWS * part.row_s)
     number = ((part.log.t_s[part.first : part.end] - part.log.t_s[0]) / length_s).astype(int)
     edges = part.first + np.flatnonzero(np.diff(number)) + 1
-    least = 0.5 * length_s / _row_s(part.log)
+    least = 0.5 * length_s / part.row_s
     inner, begin = [], part.first
     for edge in edges:
         if edge - begin >= least and part.end - edge >= least:
@@ -733,10 +763,11 @@ def usable_runs(
         before = [] if machine.kind == "odometry" else [(begin, pose)]
         for rows in (*before, (pose, end)):
             if rows[1] - rows[0] >= LEAST_ROWS and np.ptp(log.t_s[slice(*rows)]) >= LEAST_S:
-                longest = LONGEST_RUN_S / _row_s(log) if machine.kind == "robot" else np.inf
-                count = max(math.ceil((rows[1] - rows[0]) / longest), 1)
-                parts = pairwise(np.linspace(*rows, count + 1).round().astype(int).tolist())
-                runs += [make_run(machine, log, *part) for part in parts]
+                count = 1
+                if machine.kind == "robot":
+                    duration_s = (rows[1] - rows[0]) * _row_s(log, *rows)
+                    count = math.ceil(duration_s / LONGEST_RUN_S)
+                runs += [make_run(machine, log, *part) for part in _evenly(*rows, count)]
     return runs
 
 
@@ -749,10 +780,9 @@ def _every_fifth(count: int) -> list[int]:
 def _cut(log: Log, end: int, count: int) -> list[Part]:
     """Cut the rows of a log before `end` into some parts."""
     count = max(2, min(count, int((log.t_s[end - 1] - log.t_s[0]) / LEAST_PART_S)))
-    edges = np.linspace(0, end, count + 1).round().astype(int)
     return [
-        Part(f"{log.name}, part {k + 1}", False, log, int(first), int(last))
-        for k, (first, last) in enumerate(pairwise(edges))
+        Part(f"{log.name}, part {k + 1}", False, log, *rows)
+        for k, rows in enumerate(_evenly(0, end, count))
     ]
 
 

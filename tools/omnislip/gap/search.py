@@ -242,10 +242,7 @@ def search(
         further = ahead.far_delay(delay, accepted) if delay else None
         if further is not None:
             reason = "explains less than a delay of more rows"
-            found = [
-                (replace(trial, accepted=False, reason=reason) if trial.accepted else trial, one)
-                for trial, one in found
-            ]
+            found = [(_gives_way(trial, reason), one) for trial, one in found]
         elif accepted is None:
             further = ahead.best(found, worth)
         trials += [*(trial for trial, _ in found), *ahead.trials]
@@ -663,21 +660,22 @@ def _try(
     if not passed:
         return judged
     best, taken = passed[0][0], _taken(data, passed, progress)
+    name, own = taken.candidate.name, "each by the noise that fits it"
+    found = []
+    for trial, fitted in judged:
+        if trial is taken:
+            reason = f"explains nearly as much as {best.candidate.name} and is likelier, {own}"
+            told = trial if taken is best else replace(trial, reason=reason)
+        elif trial is best:
+            told = _gives_way(trial, f"is less likely than {name}, {own}")
+        else:
+            told = _gives_way(trial, f"explains less than {name}")
+        found.append((told, fitted))
+    return found
 
-    def reason(trial: Trial) -> str:
-        own = "each by the noise that fits it"
-        if taken is not best and trial is taken:
-            return f"explains nearly as much as {best.candidate.name} and is likelier, {own}"
-        if taken is not best and trial is best:
-            return f"is less likely than {taken.candidate.name}, {own}"
-        return trial.reason if trial is taken else f"explains less than {taken.candidate.name}"
 
-    return [
-        (replace(trial, accepted=trial is taken, reason=reason(trial)), one)
-        if trial.accepted
-        else (trial, one)
-        for trial, one in judged
-    ]
+def _gives_way(trial: Trial, reason: str) -> Trial:
+    return replace(trial, accepted=False, reason=reason) if trial.accepted else trial
 
 
 def _taken(data: Data, passed: Sequence[tuple[Trial, Fit]], progress: Progress) -> Trial:
