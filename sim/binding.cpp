@@ -252,7 +252,7 @@ class Engine {
     }
 
     Recording recording(const Array1 &time_s, const Array2 &command, const Array2 &output,
-                        const Array1 &initial_state) const {
+                        const Array1 &initial_state, double settle_s) const {
         const auto rows = time_s.shape(0);
         require(rows >= 2 && command.shape(0) == rows && output.shape(0) == rows,
                 "time_s, command and output must have the same number of rows, at least 2");
@@ -268,7 +268,9 @@ class Engine {
         }
         r.command.assign(command.data(), command.data() + command.size());
         r.output.assign(output.data(), output.data() + output.size());
+        require(settle_s >= 0.0, "settle_s must not be negative");
         r.initial_state = to_vector(initial_state);
+        r.settle_s = settle_s;
         return r;
     }
 
@@ -675,6 +677,8 @@ void bind_replay(nb::module_ &m) {
     m.def("most_threads", &thread_limit, "How many threads these are.");
     nb::class_<Recording>(m, "Recording")
         .def_prop_ro("rows", [](const Recording &r) { return r.rows; })
+        .def_ro("settle_s", &Recording::settle_s,
+                "Until so long after the first row the filter finds the initial state.")
         .def("rising", &rising, "rise"_a,
              "The same with commands that rise (rows, motors) evenly within each row.")
         .def("commanded", &commanded, "command"_a, "The same with other commands (rows, motors).")
@@ -709,7 +713,7 @@ void bind_replay(nb::module_ &m) {
         .def_prop_ro("instruction_set",
                      [](const Engine &e) { return e.kernel().instruction_set(); })
         .def("recording", &Engine::recording, "time_s"_a, "command"_a, "output"_a,
-             "initial_state"_a)
+             "initial_state"_a, "settle_s"_a = kSettleTime_s)
         .def("derivatives", &Engine::derivatives_of, "values"_a, "states"_a, "commands"_a)
         .def("track", &Engine::tracks_of, "recordings"_a, "values"_a, "process"_a, "output"_a,
              "initial"_a, "timing_s2"_a = 0.0, "unresolved"_a = 0.0, "unresolved_current"_a = 0.0,

@@ -155,7 +155,7 @@ Track track(const Kernel &kernel, const Recording &recording, const double *valu
     p.diagonal().head(n) = Eigen::Map<const Vector>(noise.initial.data(), n);
     p.diagonal().tail(q) = lasting;
     Matrix free = p; /* covariance of a replay that runs since its last restart */
-    double restart_s = recording.time_s[0] + kSettleTime_s;
+    double restart_s = recording.time_s[0] + recording.settle_s;
     Matrix of_plant(n, n), shown(m, n), push(n, q);
     Matrix transition = Matrix::Zero(all, all), slope = Matrix::Zero(m, all);
     Vector predicted(m), mistiming = Vector::Zero(m);

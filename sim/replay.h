@@ -39,7 +39,8 @@
 
 namespace omnislip {
 
-/* Replays start this long after the first row: until then the filter finds the initial state. */
+/* Replays start this long after the first row unless a recording says otherwise: until then the
+ * filter finds the initial state. */
 constexpr double kSettleTime_s = 0.25;
 /* Room for a parameter set, terms of the user included. */
 constexpr int kMaxParameters = 800;
@@ -48,6 +49,7 @@ struct Recording {
     int rows = 0;
     std::vector<double> time_s, command, output;
     std::vector<double> initial_state;
+    double settle_s = kSettleTime_s;
     std::vector<double> rise{}; /* of the command within the row, around its mean; empty: held */
     /* What warmed the motors before the first row: lengths of rows, and squares of the currents
      * that cold windings would have let through [row][motor]. */

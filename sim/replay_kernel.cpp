@@ -410,7 +410,7 @@ class KernelOf final : public Kernel {
         Internals in;
         broadcast(recording.initial_state.data(), filtered, kStates);
         settle_first(loaded, recording, filtered, in);
-        double restart_s = recording.time_s[0] + kSettleTime_s;
+        double restart_s = recording.time_s[0] + recording.settle_s;
         std::copy_n(filtered, kAll, free);
         Way filtered_way(loaded.plant, recording), free_way(loaded.plant, recording);
         for (long k = 0; k < recording.rows; ++k) {

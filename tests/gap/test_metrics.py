@@ -1,12 +1,14 @@
 """Replay errors, noise floor and closed fraction, against closed forms."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from axis_bench import Bench, make_log, make_machine, make_runs, true_noise
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from omnislip._core import SETTLE_S
 from omnislip.gap.metrics import (
     Replays,
     closed_fraction,
@@ -24,7 +26,8 @@ def made_up_run(name, rows=400, channels=("a", "b"), command=None):
     t_s = np.arange(rows) * ROW_S
     command = np.sin(7 * t_s)[:, None] if command is None else command
     shape = (rows, len(channels))
-    return Run(name, t_s, command, np.zeros(shape), channels, np.ones(len(channels)), None)
+    settling = SimpleNamespace(settle_s=SETTLE_S)
+    return Run(name, t_s, command, np.zeros(shape), channels, np.ones(len(channels)), settling)
 
 
 def made_up_replays(name, errors, floor=1.0, command=None):

@@ -24,6 +24,8 @@ from truth_bench import logs_of
 ROBOT = Machine(read_model(NOMINAL_ROBOT))
 RAD_PER_COUNT = 2 * np.pi / 2000
 SHAFT_PER_RIM = 12.0 / 0.05
+HEADING_RAD = 3.0
+STILL = np.zeros(3)
 
 
 @given(
@@ -42,15 +44,21 @@ def test_unwrapped_counts_differ_from_the_counter_by_whole_turns(counts):
     np.testing.assert_array_equal((np.array(counts) - unwrapped) % 65536, 0)
 
 
-def log_of(velocity, rows=21, row_s=0.005, pose_every=4):
-    """Log of a robot that rolls with constant body velocity along x, y or turning on the spot."""
+def log_of(velocity, rows=21, row_s=0.005, pose_every=4, by_wheels=None):
+    """Log of a robot that goes with constant body velocity along x, y or turning on the spot.
+
+    It rolls, or slides while its wheels turn as if it went as fast as `by_wheels`.
+    """
     t_s = 2.0 + np.arange(rows) * row_s
-    shaft = wheel_jacobian(ROBOT) @ velocity * SHAFT_PER_RIM
+    rolling = velocity if by_wheels is None else by_wheels
+    shaft = wheel_jacobian(ROBOT) @ rolling * SHAFT_PER_RIM
     angles = np.outer(t_s - t_s[0], shaft)
     counts = np.floor(angles / RAD_PER_COUNT) % 65536
     columns = {f"wheel/{w + 1}/duty": np.full(rows, 0.1 * w) for w in range(4)}
     columns |= {f"wheel/{w + 1}/encoder_counts": counts[:, w] for w in range(4)}
-    pose = np.outer(t_s, velocity) + np.array([0.5, -0.5, 3.0])
+    along = complex(*velocity[:2]) * np.exp(HEADING_RAD * 1j)
+    pose = np.outer(t_s, [along.real, along.imag, velocity[2]])
+    pose += np.array([0.5, -0.5, HEADING_RAD])
     pose[:, 2] = np.remainder(pose[:, 2] + np.pi, 2 * np.pi) - np.pi
     pose[np.arange(rows) % pose_every != 0] = np.nan
     columns |= {name: pose[:, k] for k, name in enumerate(POSE_COLUMNS)}
@@ -105,6 +113,39 @@ def test_first_state_is_the_motion_of_the_first_rows(velocity):
     np.testing.assert_allclose(state[8:11], velocity, atol=6e-3)
     first = [log.columns[name][0] for name in POSE_COLUMNS]
     np.testing.assert_allclose(state[11:], first, atol=1e-12)
+
+
+@pytest.mark.parametrize("velocity", [(0.3, 0.0, 0.0), (0.0, -2.0, 0.0)])
+def test_where_wheels_slide_the_camera_tells_the_first_velocity(velocity):
+    log = log_of(np.array(velocity), rows=101, by_wheels=STILL)
+    state = initial_state(make_run(ROBOT, log, 5))
+    np.testing.assert_allclose(state[8:11], velocity, atol=1e-9)
+
+
+def test_where_wheels_slide_the_gyro_tells_how_fast_the_robot_turns_at_first():
+    log = log_of(np.array([0.4, 0.0, 0.0]), rows=101)
+    columns = {n: v for n, v in log.columns.items() if n not in POSE_COLUMNS}
+    turning = replace(log, columns=columns | {"gyro/z_rad_s": np.full(101, 5.0)})
+    state = initial_state(make_run(ROBOT, turning, 5))
+    np.testing.assert_allclose(state[8:11], [0.4, 0.0, 5.0], atol=6e-3)
+
+
+@pytest.mark.parametrize(
+    ("velocity", "first_row", "camera", "at_rest", "settle_s"),
+    [
+        (STILL, 0, False, True, 0.25),
+        (STILL, 5, False, False, 1.0),  # what went before may have set it moving
+        (np.array([0.5, 0.0, 0.0]), 0, False, False, 1.0),
+        (np.array([0.5, 0.0, 0.0]), 5, True, False, 0.25),
+    ],
+)
+def test_a_velocity_that_only_wheels_tell_takes_longer_to_find(
+    velocity, first_row, camera, at_rest, settle_s
+):
+    log = log_of(velocity, rows=401, pose_every=4 if camera else 1000)
+    run = make_run(ROBOT, log, first_row)
+    assert run.at_rest == at_rest
+    assert run.settled_s == pytest.approx(run.t_s[0] + settle_s)
 
 
 def test_a_piece_of_a_log_is_the_rows_asked_for():

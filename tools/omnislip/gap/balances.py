@@ -135,7 +135,7 @@ class _Windows:
         tracks: Sequence[_core.Track],
     ) -> None:
         run, keys = one.run, machine.model.values
-        restarts_s = np.arange(run.t_s[0] + _core.SETTLE_S, run.t_s[-1], WINDOW_S)
+        restarts_s = np.arange(run.settled_s, run.t_s[-1], WINDOW_S)
         centres_s = (restarts_s[:, None] + CENTRES_S).ravel()
         self._radius_m = float(keys["robot.wheel_radius_m"]) / float(keys["motor.gear_ratio"])
         self._jacobian = wheel_jacobian(machine)

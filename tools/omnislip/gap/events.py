@@ -60,8 +60,6 @@ MOST_MISFIT, ALONE = 9.0, 0.95
 explains such a share of a replay: a hard push that lasts 12 ms leaves five times."""
 LEAST_DEVIATIONS = 3.0
 """Of its size that a push must have: those of 0.05 m/s had six, what closed loops feign had two."""
-SLOW_M_S = 0.1
-"""Speed of a wheel's rim below which a robot is as good as at rest."""
 APART_S = 0.3
 REPEATED_S = 0.02
 """Difference of the times of what repeats in another run."""
@@ -408,15 +406,10 @@ class _Pushes:
         self.carry = transition - transition @ gain @ slope
         self.horizon = max(3, round(HORIZON_S / run.row_s))
         self.t_s = run.t_s
-        # A log that begins at rest begins from a known state. Else it is what the wheels say, and
-        # where they slide the filter has to find out how the robot goes.
-        values = machine.model.values
-        rim_m = float(values["robot.wheel_radius_m"]) / float(values["motor.gear_ratio"])
-        rim_m_s = rim_m * np.abs(track.state.reshape(rows, -1)[0, :4])
-        at_rest = run.time_s[0] == 0.0 and rim_m_s.max() < SLOW_M_S
-        unknown_s = HORIZON_S if at_rest else _core.SETTLE_S
-        self.first = int(np.searchsorted(run.t_s, run.t_s[0] + unknown_s))
-        self.earliest = 1 if at_rest else self.first
+        # A log that begins at rest begins from a known state. Else the filter has to find it.
+        known_s = run.t_s[0] + HORIZON_S if run.at_rest else run.settled_s
+        self.first = int(np.searchsorted(run.t_s, known_s))
+        self.earliest = 1 if run.at_rest else self.first
 
     def ratios(self) -> tuple[Array, Array, Array]:
         """Return g, the jump and the explained share for a push before each row."""

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import binom, norm
 
-from omnislip import _core
+from omnislip._core import SETTLE_S
 from omnislip.errors import InputError
 from omnislip.files import write_text
 from omnislip.gap.answers import likelier_held
@@ -39,6 +39,7 @@ from omnislip.gap.plan import Separation, separating_manoeuvre
 from omnislip.gap.predictable import OWN_PAST_S, Predictable, predictable_shares
 from omnislip.gap.recordings import (
     ODOMETRY_CHANNELS,
+    UNSEEN_SETTLE_S,
     Run,
     first_pose,
     machine_for,
@@ -128,8 +129,8 @@ is wrong in something else."""
 LEAST_TIME_S = 3.0
 LEAST_TRAVEL = 20.0
 """Motion, in steps of the position sensor, below which nothing can be learned."""
-LEAST_ROWS, LEAST_S = 50, 2 * _core.SETTLE_S
-"""Of a piece that is used; the filter's settling does not count."""
+LEAST_ROWS, LEAST_SETTLED = 50, 2.0
+"""Of a piece that is used: rows, and times that the filter takes to settle."""
 LONGEST_RUN_S = 60.0
 """Of a robot's log that is filtered at once: its matrices take 1.6 MB per second at 200 Hz."""
 STRETCH_S, MOST_FITTED_S, MOST_HELD_OUT_S = 10.0, 120.0, 40.0
@@ -455,7 +456,8 @@ def weak_names(selected: Sequence[Selected]) -> list[str]:
 def _too_cut(split: Split) -> str:
     return (
         f"between pushes and gaps too little is left to fit, to check and to hold out: each "
-        f"takes pieces of {LEAST_ROWS} rows and {LEAST_S:g} s ({split.how})"
+        f"takes pieces of {LEAST_ROWS} rows and {LEAST_SETTLED * SETTLE_S:g} s, or "
+        f"{LEAST_SETTLED * UNSEEN_SETTLE_S:g} s where no camera sees how a robot goes ({split.how})"
     )
 
 
@@ -762,13 +764,13 @@ def usable_runs(
         # Without a pose an odometry has nothing to be judged by.
         before = [] if machine.kind == "odometry" else [(begin, pose)]
         for rows in (*before, (pose, end)):
-            if rows[1] - rows[0] >= LEAST_ROWS and np.ptp(log.t_s[slice(*rows)]) >= LEAST_S:
+            if rows[1] - rows[0] >= LEAST_ROWS:
                 count = 1
                 if machine.kind == "robot":
                     duration_s = (rows[1] - rows[0]) * _row_s(log, *rows)
                     count = math.ceil(duration_s / LONGEST_RUN_S)
                 runs += [make_run(machine, log, *part) for part in _evenly(*rows, count)]
-    return runs
+    return [run for run in runs if run.duration_s >= LEAST_SETTLED * run.recording.settle_s]
 
 
 def _every_fifth(count: int) -> list[int]:

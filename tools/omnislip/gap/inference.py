@@ -431,7 +431,7 @@ class Data:
 
     def kept_rows(self, run: Run) -> npt.NDArray[np.bool_]:
         """Rows after the filter has found the initial state."""
-        return run.t_s >= run.t_s[0] + _core.SETTLE_S
+        return run.t_s >= run.settled_s
 
     def _block_numbers(self) -> npt.NDArray[np.int64]:
         numbers, offset = [], 0

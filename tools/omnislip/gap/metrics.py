@@ -17,7 +17,6 @@ from itertools import combinations
 import numpy as np
 import numpy.typing as npt
 
-from omnislip import _core
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import Noise, track_all
 from omnislip.gap.recordings import Run, body_errors
@@ -103,7 +102,7 @@ def replay_all(
         last_track = columns[-1][index][1]
         floor = last_track.replay_variance.reshape(run.outputs.shape) * run.scale**2
         # The first restart is at the first row past the settling time; its error is the old one's.
-        counted = run.t_s >= run.t_s[0] + _core.SETTLE_S
+        counted = run.t_s >= run.settled_s
         counted[np.argmax(counted)] = False
         replays.append(Replays(run, errors, floor, counted))
     return replays
@@ -259,7 +258,7 @@ def _window_moments(replays: Replays) -> Array:
     There is none in a piece that ends before a replay begins.
     """
     t_s = replays.run.t_s
-    number = ((t_s - t_s[0] - _core.SETTLE_S) / WINDOW_S).astype(int)
+    number = ((t_s - replays.run.settled_s) / WINDOW_S).astype(int)
     number[~replays.counted] = -1
     count = number.max() + 1
     moments = np.empty((count, len(replays.errors), replays.errors.shape[2]))

@@ -15,7 +15,6 @@ import numpy as np
 import numpy.typing as npt
 from scipy.signal import butter, filtfilt
 
-from omnislip import _core
 from omnislip.errors import InputError
 from omnislip.gap.find import Findings
 from omnislip.gap.machine import Machine
@@ -137,7 +136,7 @@ def _replay_rmse(findings: Findings, runs: Sequence[Run], values: Array, weights
     squares, count = 0.0, 0
     for run, track in zip(runs, track_all(machine, runs, final, noise), strict=True):
         states = track.state.reshape(len(run.t_s), 2)
-        starts = np.arange(run.t_s[0] + _core.SETTLE_S, run.t_s[-1] - 0.1, WINDOW_S)
+        starts = np.arange(run.settled_s, run.t_s[-1] - 0.1, WINDOW_S)
         rows = np.searchsorted(run.t_s, starts)
         x, t_s = states[rows].copy(), run.t_s[rows].copy()
         command, path = _command(run), []

@@ -133,7 +133,7 @@ def predictable_shares(
 def _own_past(run: Run, disturbances: Array, rows: npt.NDArray[np.int64]) -> Array:
     """Disturbances (rows, equations, lags) before `rows`; zero where the filter had not settled."""
     then_s = run.t_s[rows][:, None] - np.array(OWN_PAST_S)
-    known = then_s >= run.t_s[0] + _core.SETTLE_S
+    known = then_s >= run.settled_s
     past = [np.interp(then_s, run.t_s, column) * known for column in disturbances.T]
     return np.stack(past, axis=1)
 
@@ -161,7 +161,7 @@ def _states(runs: Sequence[Run], tracks: Sequence[_core.Track]) -> list[Array]:
 def _sparse_rows(run: Run) -> npt.NDArray[np.int64]:
     """Rows some `ROW_S` apart, after the filter has settled."""
     stride = max(1, round(ROW_S / run.row_s))
-    first = int(np.searchsorted(run.t_s, run.t_s[0] + _core.SETTLE_S))
+    first = int(np.searchsorted(run.t_s, run.settled_s))
     return run.log_rows[run.log_rows >= first][::stride]
 
 
