@@ -132,13 +132,15 @@ def _pieces(machine, logs):
 )
 def test_the_plant_confirms_a_push(gain, explained, misfit, deviation, confirmed):
     deviations = np.full(3, deviation)
-    push = Impact("run_01", 1.0, np.ones(3), deviations, 0.0, misfit, gain, explained)
+    push = Impact(
+        "run_01", 1.0, np.ones(3), deviations, misfit=misfit, gain=gain, explained=explained
+    )
     assert push.confirmed == confirmed
 
 
 def test_a_push_may_turn_the_robot_alone():
     deviations = np.array([0.5, 0.5, 0.01])
-    push = Impact("run_01", 1.0, np.array([0.1, 0.1, 0.5]), deviations, 0.0, 1.0, 1e3, 0.97)
+    push = Impact("run_01", 1.0, np.array([0.1, 0.1, 0.5]), deviations, 0.0, 1.0, gain=1e3)
     assert push.confirmed
 
 
@@ -166,11 +168,33 @@ def test_what_another_run_of_the_same_commands_has_too_is_no_push(
     t_s = np.arange(0.0, 5.0, 0.01)
     wave = 0.4 * np.sin(3.0 * t_s)[:, None] * np.ones(4)
     runs = [
-        SimpleNamespace(name="run_01", t_s=t_s, command=wave),
-        SimpleNamespace(name="run_02", t_s=t_s, command=wave + command_of_other),
+        SimpleNamespace(name="run_01", t_s=t_s, command=wave, row_s=0.01),
+        SimpleNamespace(name="run_02", t_s=t_s, command=wave + command_of_other, row_s=0.01),
     ]
     push, none = np.array([-0.5, 2.0, 0.0]), np.zeros(3)
     impacts = [Impact("run_01", 2.5, push, none), Impact(run_of_other, time_of_other_s, push, none)]
+    assert len(without_repeated(runs, impacts)) == kept
+
+
+@pytest.mark.parametrize(
+    ("other_s", "jump_of_other", "rising", "kept"),
+    [
+        (3.0, (0.1, 0.2, 0.0), 3.0, 0),  # 1 s later the commands are the same
+        (2.5, (-0.1, -0.25, 0.1), 3.0, 0),  # half of that later the opposite ones
+        (2.5, (0.1, 0.2, 0.0), 3.0, 2),
+        (3.0, (0.2, -0.1, 0.0), 3.0, 2),
+        (2.25, (0.1, 0.2, 0.0), 3.0, 2),  # other commands
+        (3.0, (0.1, 0.2, 0.0), 0.3, 2),  # commands that hardly move
+    ],
+)
+def test_what_comes_each_time_the_robot_reverses_is_no_push(other_s, jump_of_other, rising, kept):
+    t_s = np.arange(0.0, 5.0, 0.01)
+    wave = rising / (2.0 * np.pi) * np.sin(2.0 * np.pi * t_s)[:, None] * np.ones(4)
+    runs = [SimpleNamespace(name="run_01", t_s=t_s, command=wave, row_s=0.01)]
+    impacts = [
+        Impact("run_01", at_s, np.ones(3), np.zeros(3), jump=np.array(jump))
+        for at_s, jump in ((2.0, (0.1, 0.2, 0.0)), (other_s, jump_of_other))
+    ]
     assert len(without_repeated(runs, impacts)) == kept
 
 

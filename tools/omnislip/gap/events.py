@@ -18,7 +18,7 @@ cut: what follows sees the pieces before and after.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 
 import numpy as np
@@ -63,6 +63,9 @@ LEAST_DEVIATIONS = 3.0
 APART_S = 0.3
 REPEATED_S = 0.02
 """Difference of the times of what repeats in another run."""
+DRIVEN, PUSHED_ALIKE = 0.2, 0.5
+"""Duty with which a robot drives, and by which it moves where it does something; share of the
+larger by which two jumps differ that are one: of five reversals of a drill they did by 0.2."""
 LEAST_BETWEEN_S = 4.0
 """Mean time from push to push below which they are none."""
 REPLAY_STEP_S = 1e-3
@@ -90,6 +93,8 @@ class Impact:
     time_deviation_s: float = 0.0
     misfit: float = 0.0
     """Mean square error after the push, in its standard deviations."""
+    jump: Array = field(default_factory=lambda: np.zeros(3))
+    """(m/s, m/s, rad/s), along the robot's axes"""
     gain: float = np.inf
     """By how much the push lowers the squared errors of the plant's own replay, and the share of
     what is beyond chance."""
@@ -152,8 +157,9 @@ def _impacts_in(machine: Machine, run: Run, values: Array, noise: Noise) -> list
 def without_repeated(runs: Sequence[Run], impacts: Sequence[Impact]) -> list[Impact]:
     """Return the pushes that no other run has at the same time of the same commands.
 
-    Nobody pushes so; it is what the robot does there by itself. Where every run of a simulated
-    scenario has the same push, it is refused too.
+    Nor that is alike wherever the commands move so, or the other way round. Nobody pushes so; it is
+    what the robot does there by itself. Where every run of a simulated scenario has the same push,
+    it is refused too.
     """
     return [one for one in impacts if not any(_repeats(runs, one, other) for other in impacts)]
 
@@ -165,16 +171,30 @@ def too_often(runs: Sequence[Run], impacts: Sequence[Impact]) -> bool:
 
 
 def _repeats(runs: Sequence[Run], one: Impact, other: Impact) -> bool:
-    if one.run == other.run or abs(one.time_s - other.time_s) > REPEATED_S:
+    if one is other:
         return False
-    driven = [_commands_around(runs, push) for push in (one, other)]
-    return bool(np.abs(driven[0] - driven[1]).max() < COMMAND_JUMP)
+    own, others = (_commands_before(runs, push) for push in (one, other))
+    if one.run != other.run and abs(one.time_s - other.time_s) <= REPEATED_S:
+        return bool(np.abs(own - others).max() < COMMAND_JUMP)
+    # Where a command jumps within the row it comes just after what it feigns.
+    rows = max(SPAN_ROWS * run.row_s for run in runs)
+    driven = np.abs(own).max() >= DRIVEN
+    own, others = (_commands_before(runs, push, rows) for push in (one, other))
+    if not driven or np.ptp(own, axis=0).max() < DRIVEN:
+        return False
+    jump, jump_of_other = one.jump / PROBE, other.jump / PROBE
+    most = PUSHED_ALIKE * max(np.linalg.norm(jump), np.linalg.norm(jump_of_other))
+    return any(
+        np.abs(own - way * others).max() < COMMAND_JUMP
+        and np.linalg.norm(jump - way * jump_of_other) < most
+        for way in (1.0, -1.0)
+    )
 
 
-def _commands_around(runs: Sequence[Run], push: Impact) -> Array:
+def _commands_before(runs: Sequence[Run], push: Impact, and_after_s: float = 0.0) -> Array:
     """Commands (times, 4) in the horizon before a push."""
     run = next(r for r in runs if r.name == push.run and r.t_s[0] <= push.time_s <= r.t_s[-1])
-    time_s = push.time_s - np.linspace(0.0, HORIZON_S, TIMES)
+    time_s = push.time_s - np.linspace(-and_after_s, HORIZON_S, TIMES)
     return np.stack([np.interp(time_s, run.t_s, column) for column in run.command.T], axis=1)
 
 
@@ -276,10 +296,13 @@ def _size_up(
     ]
     times = np.array([fit.time_s for fit in fits])
     impulse, time_s = weight @ impulses, float(weight @ times)
+    jumped = weight @ np.array([fit.jump for fit in fits])
     deviation = np.sqrt(weight @ (np.array(variances) + (impulses - impulse) ** 2))
     time_deviation = float(np.sqrt(weight @ (times - time_s) ** 2 + window.grid_s**2 / 12.0))
     gain, explained = window.quiet - least, _explained(window, fits, chance)
-    return Impact(run.name, time_s, impulse, deviation, time_deviation, misfit, gain, explained)
+    return Impact(
+        run.name, time_s, impulse, deviation, time_deviation, misfit, jumped, gain, explained
+    )
 
 
 @dataclass(frozen=True)
