@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from axis_bench import Bench, make_log, model_text, silent
+from omnislip.errors import InputError
 from omnislip.gap import find
 from omnislip.gap.find import (
     find_gap,
@@ -691,6 +692,25 @@ def test_a_minute_is_filtered_at_once_at_most():
     runs = usable_runs(ROBOT, robot_log(26_000), [])
     assert sum(len(run.t_s) for run in runs) == 26_000
     assert max(run.duration_s for run in runs) < 60.0
+
+
+def test_results_are_written_all_or_none(tmp_path):
+    """The last of them cannot be: a folder has its name."""
+    model, logs = axis_case(tmp_path, seeds=range(1))
+    (tmp_path / "gap" / "gap.json").mkdir(parents=True)
+    with pytest.raises(InputError, match=r"gap\.json: cannot be written"):
+        write_results(found(model, logs), tmp_path / "gap", "report")
+    assert [path.name for path in (tmp_path / "gap").iterdir()] == ["gap.json"]
+
+
+def test_where_only_what_was_held_out_is_off_that_is_said(tmp_path):
+    """Two logs of which the second rubs: nothing that was fitted shows where or what it is."""
+    model, logs = axis_case(tmp_path, Bench(coulomb_n=0.0), seeds=range(2))
+    write_log(make_log(Bench(coulomb_n=3.0), 1), logs[1])
+    findings = found(model, logs)
+    assert findings.verdict == "unknown_effect"
+    assert "what is off is in run_01, held out" in findings.sentence
+    assert findings.places == [] and findings.gap_map is None
 
 
 def test_runs_of_the_same_name_in_two_folders_are_two(tmp_path):

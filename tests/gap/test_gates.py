@@ -1,5 +1,6 @@
 """Mistakes of recording: each is told, or mended, before any physics is looked for."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -134,6 +135,7 @@ MISTAKES = {
     "camera frozen": (lambda g: frozen(g, POSE, 2.0, 4.0), "the pose does not change"),
     "supply in millivolts": (lambda g: times(g, ["supply/voltage_v"], 1e3), "is it in mV?"),
     "current in milliamperes": (lambda g: times(g, ["wheel/3/current_a"], 1e3), "is it in mA?"),
+    "supply the wrong way round": (lambda g: times(g, ["supply/voltage_v"], -1.0), "exchanged?"),
     "position frozen": (
         lambda g: frozen(g, POSE[:2], 2.0, 4.0),
         "the position (pose/x_m, pose/y_m)",
@@ -407,6 +409,15 @@ def test_a_log_of_another_robot_is_told(key):
     assert complaint is not None
     assert "strange looks like another robot" in complaint
     assert words in complaint
+
+
+def test_of_two_logs_of_two_robots_none_is_blamed():
+    factor, _ = OTHER["robot.wheel_radius_m"]
+    name = "robot.wheel_radius_m"
+    other = replace(MODEL, values=MODEL.values | {name: factor * MODEL.values[name]})
+    complaint = check(MACHINE, [drive("a", seed=0), drive("b", other, seed=1)]).complaint
+    assert complaint is not None
+    assert re.match(r"a and b look like two robots: a goes 0\.8\d times as far .* as b", complaint)
 
 
 def test_logs_of_one_robot_are_of_one_robot():

@@ -260,6 +260,24 @@ def test_every_verdict_says_its_sentence_and_headline(findings, html):
     assert COMMAND_LINE in page.text
 
 
+def test_logs_that_cannot_be_used_are_no_lack_of_data(machines):
+    sentence = "The logs cannot be used: run_1: is it in mV?"
+    page = Page(render(replace(insufficient(machines["robot"]), sentence=sentence), COMMAND_LINE))
+    assert "Mend what the sentence above names" in page.text
+    assert "Not enough data" not in page.text and "Logs can teach" not in page.text
+
+
+def test_of_a_log_that_was_fitted_too_the_part_held_out_is_told(machines):
+    findings = findings_of(machines["robot"], "no_gap", ())
+    [held_out, *_] = findings.split.held_out
+    fitted = replace(findings.split.fitting[0], name=held_out.name)
+    split = replace(findings.split, fitting=[fitted])
+    assert (
+        f"{held_out.name} from 0.0 to"
+        in Page(render(replace(findings, split=split), COMMAND_LINE)).text
+    )
+
+
 def test_page_loads_nothing(html):
     assert all(a.startswith(("data:", "#")) for a in Page(html).addresses)
     assert "http" not in html

@@ -195,12 +195,29 @@ def test_writing_keeps_the_old_file_when_it_fails(tmp_path, monkeypatch):
 def test_logs_of_the_same_file_name_are_told_apart_by_their_folders(tmp_path):
     names = ["day_1/a/run_1", "day_2/a/run_1", "day_2/b/run_1", "day_2/b/run_2"]
     paths = [tmp_path / f"{name}.csv" for name in names]
-    for path in paths:
+    for number, path in enumerate(paths):
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(AXIS)
+        path.write_text(f"{AXIS}{number + 1},0,0\n")
     logs = read_logs(paths, "axis")
     assert [log.name for log in logs] == [*names[:2], "b/run_1", "run_2"]
     assert [log.series for log in logs] == ["a", "a", "b", "b"]
+
+
+def test_a_copy_of_a_log_is_refused(tmp_path, write):
+    paths = [write("run.csv", AXIS), write("other.csv", f"{AXIS}9,0,0\n"), write("copy.csv", AXIS)]
+    with pytest.raises(InputError, match=r"copy\.csv: holds the same as \S+run\.csv; give it once"):
+        read_logs(paths, "axis")
+
+
+def test_a_line_with_too_many_cells_is_named(write):
+    with pytest.raises(InputError, match=r"line 3: 5 cells, but the header has 3"):
+        read_log(write("run.csv", "t_s,axis/command,axis/position_m\n0,0,0\n1,0,0,0,0\n"), "axis")
+
+
+def test_a_log_of_another_kind_is_told(write):
+    words = "'axis/command' is of kind 'axis', the model is of kind 'robot'"
+    with pytest.raises(InputError, match=words):
+        read_log(write("run.csv", AXIS), "robot")
 
 
 def test_a_log_that_is_given_twice_is_refused(tmp_path, write):

@@ -52,6 +52,17 @@ class Log:
     series: str = ""
     """Folder of the file: logs of one folder were taken under the same conditions."""
 
+    def holds_same(self, other: "Log") -> bool:
+        """Whether another log has the same rows in the same columns."""
+        return (
+            np.array_equal(self.t_s, other.t_s)
+            and self.columns.keys() == other.columns.keys()
+            and all(
+                np.array_equal(values, other.columns[name], equal_nan=True)
+                for name, values in self.columns.items()
+            )
+        )
+
 
 def read_log(path: Path | str, kind: str | None) -> Log:
     """Read and check a .csv or .parquet log for a model of `kind` robot, axis or odometry.
@@ -75,7 +86,14 @@ def read_log(path: Path | str, kind: str | None) -> Log:
         ) from None
     except ValueError as error:
         # pandas and pyarrow say in the first line what they met and where.
-        raise InputError(f"{path}: not a {suffix} log: {str(error).splitlines()[0]}") from None
+        said = str(error).splitlines()[0]
+        cells = re.search(r"Expected (\d+) fields in line (\d+), saw (\d+)", said)
+        if cells:
+            expected, line, seen = cells.groups()
+            raise InputError(
+                f"{path}: line {line}: {seen} cells, but the header has {expected}"
+            ) from None
+        raise InputError(f"{path}: not a {suffix} log: {said}") from None
     kind = kind or _kind_of(list(frame.columns))
     first_row, unit = (2, "line") if suffix == ".csv" else (1, "row")
 
@@ -97,7 +115,7 @@ def read_log(path: Path | str, kind: str | None) -> Log:
 
 
 def read_logs(paths: Sequence[Path | str], kind: str | None) -> list[Log]:
-    """Read logs, each with a name of its own; InputError for a log that is given twice.
+    """Read logs, each with a name of its own; InputError for a log that is given twice, or a copy.
 
     Where file names are the same, so many folders are put before them that they differ.
     """
@@ -109,6 +127,9 @@ def read_logs(paths: Sequence[Path | str], kind: str | None) -> list[Log]:
         folders = range(1, len(own) + 1)
         tails = (own[-n:] for n in folders if [p[-n:] for p in parts].count(own[-n:]) == 1)
         logs.append(replace(read_log(path, kind), name="/".join(next(tails))))
+        for other, earlier in zip(paths, logs[:-1], strict=False):
+            if earlier.holds_same(logs[-1]):
+                raise InputError(f"{path}: holds the same as {other}; give it once")
     return logs
 
 
@@ -168,6 +189,11 @@ def _check_columns(names: list[str], kind: str, path: Path) -> tuple[list[str], 
     doubled = [name for name in names if names.count(name) > 1]
     if doubled:
         raise InputError(f"{path}: column '{doubled[0]}' is there twice")
+    for shown, column in (("axis", "axis/command"), ("robot", "wheel/1/duty")):
+        if column in names and kind != shown:
+            raise InputError(
+                f"{path}: column '{column}' is of kind '{shown}', the model is of kind '{kind}'"
+            )
     required, sampled, optional = _columns_of_kind(kind, names)
     check_known(names, ["t_s", *required, *sampled, *optional], "column", path)
     missing = [name for name in [*required, *sampled] if name not in names]

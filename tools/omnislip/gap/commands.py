@@ -57,7 +57,7 @@ def find(
         print(told)
     if findings.table is not None:
         print_table(findings.table)
-    print(f"report: {out / 'report.html'}   amended model: {out / 'robot.toml'}")
+    print(f"report: {out / 'report.html'}   {findings.amended_words}: {out / 'robot.toml'}")
 
 
 @app.command(
@@ -118,18 +118,25 @@ def evaluate(
 ) -> None:
     """Print how wrong a model is on logs: replay errors per channel and the noise floor."""
     from omnislip.gap.evaluate import evaluate_model
+    from omnislip.gap.metrics import PREDICTED
 
     with progress() as say:
         result = evaluate_model(robot, logs, say)
     if as_json:
         print(json.dumps(result, indent=1, allow_nan=False))
         return
-    table = Table(title=f"one-second replays of {robot} on {len(logs)} runs")
+    count = f"{len(logs)} run" + ("s" if len(logs) > 1 else "")
+    table = Table(title=f"one-second replays of {robot} on {count}")
     for heading in ("channel", "RMSE", "noise floor"):
         table.add_column(heading, justify="left" if heading == "channel" else "right")
     for channel, figures in result["channels"].items():
         table.add_row(channel, f"{figures['rmse']:.4g}", f"{figures['noise_floor']:.4g}")
     Console().print(table)
+    if result["noise_floor_source"] == PREDICTED:
+        print(
+            "The floor is by the noise that suits this model: of one that is far off it is too "
+            "high. Compare models by the lowest."
+        )
     for told in result["recording"]:
         print(told)
 

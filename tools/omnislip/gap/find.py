@@ -4,6 +4,7 @@ import hashlib
 import json
 import math
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from itertools import pairwise
@@ -16,7 +17,7 @@ from scipy.stats import binom, norm
 
 from omnislip._core import SETTLE_S
 from omnislip.errors import InputError
-from omnislip.files import write_text
+from omnislip.files import replace_file
 from omnislip.gap.answers import likelier_held
 from omnislip.gap.balances import Balance, find_balances
 from omnislip.gap.events import Impact, as_effect, find_impacts, known_pushes, pieces, too_often
@@ -126,6 +127,7 @@ SURE = 3.0
 KEY_AT_END, KEYS_BY_CHANCE = 2.0 * float(norm.sf(2.0)), 1e-3
 """Chance that one believed key is two tolerances off; and that so many are, below which the model
 is wrong in something else."""
+NOT_ENOUGH, CANNOT_BE_USED = "Not enough data", "The logs cannot be used"
 LEAST_TIME_S = 3.0
 LEAST_TRAVEL = 20.0
 """Motion, in steps of the position sensor, below which nothing can be learned."""
@@ -202,6 +204,13 @@ class Findings:
     noise: Noise | None = None
     """By which the replays of the held-out runs are judged."""
 
+    @property
+    def amended_words(self) -> str:
+        """What the amended model is."""
+        if self.wiring or self.impacts or (self.outcome and self.outcome.selected):
+            return "amended model"
+        return "refitted model" if self.outcome else "unchanged model"
+
 
 def find_gap(
     model_path: Path,
@@ -231,7 +240,7 @@ def find_gap(
     checked = check(machine, [mend(log, wiring) for log in logs])
     logs, cuts, told = checked.logs, checked.cuts, [*told, *checked.told]
     if checked.complaint:
-        return _insufficient(machine, checked.complaint, inputs, told, wirings)
+        return _insufficient(machine, checked.complaint, inputs, told, wirings, CANNOT_BE_USED)
     progress("looking for impacts")
     cuts += known_pushes(model, logs)
     known = split_runs(machine, logs, cuts)
@@ -275,7 +284,7 @@ def find_gap(
     if outcome.selected or outcome.leftover:
         reason = logged_set_points(machine, logs, outcome.final.hypothesis.flat(machine.believed))
         if reason:
-            return _insufficient(machine, reason, inputs, told, wirings)
+            return _insufficient(machine, reason, inputs, told, wirings, CANNOT_BE_USED)
     unchecked = _unchecked(outcome)
     if unchecked and not (outcome.selected or _missing_terms(outcome)):
         return _insufficient(machine, unchecked, inputs, told, wirings)
@@ -313,6 +322,10 @@ def find_gap(
     cautions += weak_names(outcome.selected)
     cautions += [f"Besides, {unchecked}."] if unchecked else []
     cautions += [unproven] if unproven else []
+    if verdict == "unknown_effect" and _much_is_left(table):
+        elsewhere = _only_held_out(machine, split, judging, after)
+        if elsewhere:
+            cautions, places, gap_map = [*cautions, elsewhere], [], None
     unknown = None
     if verdict == "unknown_effect":
         progress("describing what is missing")
@@ -371,6 +384,22 @@ def _judged(
     if not outcome.selected:
         table = replace(table, closed=Closed(None, None, None))
     return judging, replays, table
+
+
+def _only_held_out(machine: Machine, split: Split, judging: Noise, after: Array) -> str:
+    """Say so where whole logs are held out that are far off, and what was fitted is not."""
+    fitted = {run.name for run in split.fitting}
+    held_out = list(dict.fromkeys(run.name for run in split.held_out if run.name not in fitted))
+    if not held_out:
+        return ""
+    own = gap_table(replay_all(machine, split.fitting, judging, [after] * 3))
+    if own.left.excess >= LEAST_EXCESS:
+        return ""
+    return (
+        f"The model explains the runs that were fitted; what is off is in {', '.join(held_out)}, "
+        f"held out. If all are of one robot in one state, more logs like that are needed to tell "
+        f"what it is; else look at each alone."
+    )
 
 
 def _closes_nothing(selected: Sequence[Selected], table: GapTable) -> bool:
@@ -832,10 +861,11 @@ def _insufficient(
     inputs: dict[str, str],
     told: list[str],
     wirings: Sequence[list[Effect]] = ([],),
+    headline: str = NOT_ENOUGH,
 ) -> Findings:
     wiring, *other_wirings = wirings
     split = Split([], [], "no run was used")
-    sentence = f"Not enough data: {reason}."
+    sentence = f"{headline}: {reason}" + ("" if reason.endswith("?") else ".")
     if wiring:
         sentence += f" The wiring is wrong: {wiring_words(wiring)}."
         sentence += _undecided(other_wirings)
@@ -1240,13 +1270,18 @@ def _base_json(machine: Machine, outcome: Outcome) -> dict[str, Any]:
 
 
 def write_results(findings: Findings, directory: Path, report: str) -> None:
-    """Write gap.json, robot.toml and report.html; each whole or not at all."""
+    """Write gap.json, robot.toml and report.html; all of them whole or none."""
     if directory.exists() and not directory.is_dir():
         raise InputError(f"{directory}: is a file; --out needs a folder")
-    write_text(directory / "robot.toml", format_model(findings.amended))
-    write_text(directory / "report.html", report)
-    text = json.dumps(to_json(findings), indent=2, allow_nan=False)
-    write_text(directory / "gap.json", text + "\n")
+    texts = {
+        "robot.toml": format_model(findings.amended),
+        "report.html": report,
+        "gap.json": json.dumps(to_json(findings), indent=2, allow_nan=False) + "\n",
+    }
+    with ExitStack() as files:
+        for name, text in texts.items():
+            temporary = files.enter_context(replace_file(directory / name))
+            temporary.write_text(text, encoding="utf-8")
 
 
 def _sha256(path: Path) -> str:

@@ -544,6 +544,10 @@ def _electric(machine: Machine, log: Log) -> str | None:
         if size > most:
             unit = "V" if name == ELECTRIC_CHANNELS[0] else "A"
             return f"{name} shows up to {size:.4g} {unit}: is it in m{unit}?"
+    voltage = ELECTRIC_CHANNELS[0]
+    rows = _sampled(log, voltage)
+    if rows.size and np.median(log.columns[voltage][rows]) < 0.0:
+        return f"{voltage} is below 0: are its two leads exchanged?"
     return None
 
 
@@ -711,9 +715,11 @@ def _other_robot(machine: Machine, logs: Sequence[Log]) -> str | None:
             sure = SURE * np.hypot(error[k], float(np.median(np.delete(error, k))))
             apart = np.abs(centre[k] - others) > np.maximum(sure, tolerance * np.abs(others))
             if apart.all():
-                return (
-                    f"{log.name} looks like another robot than the rest: it {words.format(ratio)}"
-                )
+                told = words.format(ratio)
+                if len(logs) > 2:
+                    return f"{log.name} looks like another robot than the rest: it {told}"
+                other = logs[1 - k].name
+                return f"{log.name} and {other} look like two robots: {log.name} {told} as {other}"
     return None
 
 

@@ -17,10 +17,10 @@ import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from omnislip.gap import answers, find, inference, leftover, metrics, report_pictures, search
-from omnislip.gap.find import Findings, to_json
+from omnislip.gap.find import CANNOT_BE_USED, NOT_ENOUGH, Findings, to_json
 from omnislip.gap.machine import Candidate, Machine, effect_and_wheel, name_on_wheel
 from omnislip.gap.metrics import Replays
-from omnislip.gap.recordings import ODOMETRY_CHANNELS
+from omnislip.gap.recordings import ODOMETRY_CHANNELS, Run
 from omnislip.gap.search import Trial
 from omnislip.model_file import format_model
 
@@ -30,7 +30,7 @@ HEADLINES = {
     "effect_found": "Missing effect found",
     "no_gap": "No gap found",
     "unknown_effect": "Something unknown is missing",
-    "insufficient_data": "Not enough data",
+    "insufficient_data": NOT_ENOUGH,
 }
 CHANNELS = {
     **{f"wheel/{w}/encoder_counts": (f"encoder {w}", "counts") for w in range(1, 5)},
@@ -88,7 +88,7 @@ def render(findings: Findings, command_line: str) -> str:
             steps=_steps(findings),
             limits=_limits(findings) if numbers["detection_limits"] else [],
             keys=_keys(numbers["base"]),
-            held_out=_names(findings.split.held_out),
+            held_out=_held_out_names(findings),
             command_line=command_line,
             versions=_versions(),
             thresholds=_thresholds(),
@@ -117,6 +117,8 @@ def format_number(value: float | None, width: float = 0.0) -> str:
 def _headline(numbers: Json) -> str:
     if any(effect["ambiguous_with"] for effect in numbers["effects"]):
         return "Missing effect found, its name is not certain"
+    if numbers["sentence"].startswith(CANNOT_BE_USED):
+        return CANNOT_BE_USED
     return HEADLINES[numbers["verdict"]]
 
 
@@ -286,7 +288,7 @@ def _overlays(findings: Findings) -> list[Json]:
     models = list(enumerate(MODELS))
     shown = models[1:] if _has_effect(findings) else models[:2]
     return [
-        {"name": one.run.name, "pictures": _run_pictures(one, shown)}
+        {"name": _held_out_name(findings, one.run), "pictures": _run_pictures(one, shown)}
         for one in sorted(findings.replays, key=_size_of_gap, reverse=True)
     ]
 
@@ -323,7 +325,7 @@ def _steps(findings: Findings) -> list[Json]:
         steps.append(
             {
                 "number": number,
-                "picture": report_pictures.ranking_picture(own),
+                "picture": report_pictures.ranking_picture(own) if _gained(own) else None,
                 "trials": rows,
                 "taken": taken,
                 "gave_way": taken is not None and taken["trial"].candidate.name not in final,
@@ -389,8 +391,20 @@ def _keys(base: Json) -> Json | None:
     return {"rows": rows, "picture": picture, "bound": KEY_BOUND}
 
 
-def _names(runs: Sequence[Any]) -> list[str]:
-    return list(dict.fromkeys(run.name for run in runs))
+def _held_out_names(findings: Findings) -> list[str]:
+    return list(dict.fromkeys(_held_out_name(findings, run) for run in findings.split.held_out))
+
+
+def _gained(trials: Sequence[Trial]) -> bool:
+    """Whether anything gained more than the axis of the picture begins with."""
+    return any(trial.evidence.gain > 1.0 for trial in trials)
+
+
+def _held_out_name(findings: Findings, run: Run) -> str:
+    """Name of a run, with the times of a part whose log was fitted otherwise."""
+    if run.name not in {fitted.name for fitted in findings.split.fitting}:
+        return run.name
+    return f"{run.name} from {run.time_s[0]:.1f} to {run.time_s[-1]:.1f} s"
 
 
 def _versions() -> dict[str, str]:
