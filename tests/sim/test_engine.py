@@ -234,6 +234,25 @@ def test_sets_that_are_hardly_faster_take_the_same_steps():
     assert bend() > 0.1
 
 
+@pytest.mark.parametrize("settle_s", [0.25, 0.6])
+def test_replays_begin_when_the_filter_has_settled(settle_s):
+    """A robot that stands is believed to go at 1 m/s at first; so says the replay till then."""
+    engine = _core.Engine("robot")
+    time, start = np.arange(100) * 0.01, np.zeros(engine.states)
+    start[8] = 1.0
+    still = np.zeros((len(time), 4)), np.zeros((len(time), engine.outputs))
+    run = engine.recording(time, *still, start, settle_s)
+    assert run.settle_s == settle_s
+    shown, unsure = np.full(engine.outputs, 1e-8), np.full(engine.states, 1e-2)
+    values = parameter_set()
+    tracks = engine.track([run], values, np.full(engine.states, 1e-6), shown, unsure)
+    [[errors]] = engine.replays([run], tracks, values[None])
+    off_m = np.abs(errors[:, 5])
+    first = int(np.searchsorted(time, settle_s)) + 1  # of the row itself the error is the old one's
+    assert off_m[first - 1] > 0.05
+    assert off_m[first:].max() < 0.01
+
+
 # ---- wrong input ----
 
 
@@ -251,6 +270,8 @@ def test_wrong_shapes_are_refused():
     ):
         with pytest.raises(ValueError):
             engine.recording(*wrong)
+    with pytest.raises(ValueError):
+        engine.recording(time, command, output, start, -0.1)
 
 
 def test_wrong_parameter_and_noise_lengths_are_refused():
