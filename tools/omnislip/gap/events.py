@@ -63,9 +63,12 @@ LEAST_DEVIATIONS = 3.0
 APART_S = 0.3
 REPEATED_S = 0.02
 """Difference of the times of what repeats in another run."""
-DRIVEN, PUSHED_ALIKE = 0.2, 0.5
-"""Duty with which a robot drives, and by which it moves where it does something; share of the
-larger by which two jumps differ that are one: of five reversals of a drill they did by 0.2."""
+DRIVEN, STIRRED, TURNED = 0.1, 0.05, 0.2
+"""Duty with which a robot drives; by which it moves before a jump where the robot does something,
+or before and just after, which may be an answer to a push."""
+DRIVEN_ALIKE, PUSHED_ALIKE = 0.3, 0.5
+"""Share of that movement by which commands differ that are alike; share of the larger by which
+jumps do: in two drills of reversals 0.2 and 0.1, and 0.2."""
 LEAST_BETWEEN_S = 4.0
 """Mean time from push to push below which they are none."""
 REPLAY_STEP_S = 1e-3
@@ -178,14 +181,15 @@ def _repeats(runs: Sequence[Run], one: Impact, other: Impact) -> bool:
         return bool(np.abs(own - others).max() < COMMAND_JUMP)
     # Where a command jumps within the row it comes just after what it feigns.
     rows = max(SPAN_ROWS * run.row_s for run in runs)
-    driven = np.abs(own).max() >= DRIVEN
+    driven, stirred = np.abs(own).max() >= DRIVEN, np.ptp(own, axis=0).max() >= STIRRED
     own, others = (_commands_before(runs, push, rows) for push in (one, other))
-    if not driven or np.ptp(own, axis=0).max() < DRIVEN:
+    moved = np.ptp(own, axis=0).max()
+    if not driven or not (stirred or moved >= TURNED):
         return False
     jump, jump_of_other = one.jump / PROBE, other.jump / PROBE
     most = PUSHED_ALIKE * max(np.linalg.norm(jump), np.linalg.norm(jump_of_other))
     return any(
-        np.abs(own - way * others).max() < COMMAND_JUMP
+        np.abs(own - way * others).max() < DRIVEN_ALIKE * moved
         and np.linalg.norm(jump - way * jump_of_other) < most
         for way in (1.0, -1.0)
     )
