@@ -37,7 +37,7 @@ from omnislip.gap.metrics import (
 )
 from omnislip.gap.noise import LASTING_RATE_1_S, Noise, judging_noise
 from omnislip.gap.plan import Separation, separating_manoeuvre
-from omnislip.gap.predictable import OWN_PAST_S, Predictable, predictable_shares
+from omnislip.gap.predictable import OWN_PASTS_S, Predictable, predictable_shares
 from omnislip.gap.recordings import (
     ODOMETRY_CHANNELS,
     UNSEEN_SETTLE_S,
@@ -100,13 +100,17 @@ LEAST_REST = 100.0
 """Gain beyond chance that a leftover term must have at least: where nothing is missing, how
 commands moved within rows leaves up to 60 in violent driving."""
 PREDICTED_SHARE = 0.15
-LASTING_SHARE = float(np.exp(-2.0 * LASTING_RATE_1_S * OWN_PAST_S[0]))
+LASTING_SHARES = {
+    ahead_s: factor * float(np.exp(-2.0 * LASTING_RATE_1_S * ahead_s))
+    for factor, (ahead_s, *_) in zip((1.0, 1.5), OWN_PASTS_S, strict=True)
+}
 """Share of the filter's disturbances that is predicted from what the robot did, and from their own
 past. Where nothing is missing the first is below 0.1, beside right names too. The second is what
 the slowest chance tells of itself 60 ms ahead (0.34): what fades within a tenth of a second gave
-0.29 at most, of 10 Hz and more below 0.01; unknown effects that pass for chance and that nothing
-else tells 0.39 to 0.9. More than half of the runs have to be helped: some hardly excite what is
-missing."""
+0.31 at most, of 10 Hz and more below 0.01; unknown effects that pass for chance and that nothing
+else tells 0.39 to 0.9. And half as much again as that chance tells 120 ms ahead (0.17): there it
+gave 0.11 at most, loads that swing 0.23 to 0.51. More than half of the runs have to be helped: some
+hardly excite what is missing."""
 VARIES, VARIES_SURELY = 1.0 / 3.0, 3.0
 """Change of an effect's size from half second to half second, relative to itself, from which it is
 not what is there; and the inflation, 1 for white residuals, from which that is no chance."""
@@ -559,7 +563,7 @@ def _better_without_name(selected: Sequence[Selected]) -> list[Selected]:
 
 def _no_chance(found: Predictable) -> bool:
     """Whether what the filter takes for chance is predicted in most of the runs."""
-    least = LASTING_SHARE if found.from_own_past else PREDICTED_SHARE
+    least = LASTING_SHARES[found.ahead_s] if found.from_own_past else PREDICTED_SHARE
     return found.share > least and found.runs_helped > found.runs / 2
 
 

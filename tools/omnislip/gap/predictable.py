@@ -17,7 +17,8 @@ of then. In a closed loop commands answer chance too, and all is taken from then
 Nor does chance last. What bumps of the floor, sticky places or a ripple of the supply add need not
 go with any of these, but it goes on for a tenth of a second and more, where chance has faded. So
 the disturbances' own past is asked too, linearly. (Chance of a bandwidth of 10 Hz tells nothing of
-itself after 60 ms, of 3 Hz a tenth, of 1.6 Hz 0.3: find.py asks for more than that.)
+itself after 60 ms, of 3 Hz a tenth, of 1.6 Hz 0.3, and after 120 ms the square of that: find.py
+asks for more. A load that swings tells as much of itself after 120 ms, where it swings back.)
 
 No term has to be guessed beforehand, so this finds hysteresis, products and thresholds too; it does
 not say what they are (unknown.py tries to). Beside effects that explain nearly everything a small
@@ -53,8 +54,8 @@ ROW_S = 0.01
 """Disturbances last some 10 ms: rows nearer than that tell the same."""
 FOLDS = 4
 LEAST_RUNS = 3
-OWN_PAST_S = (0.06, 0.09, 0.13, 0.18)
-"""At the first most chance has faded, at the last what goes on for longer still shows."""
+OWN_PASTS_S = ((0.06, 0.09, 0.13, 0.18), (0.12, 0.15, 0.18, 0.24))
+"""At the first of each most chance has faded, at the last what goes on for longer still shows."""
 REST = 0.2
 SEEN = 1e-3
 """Share of the variance that the noise allows below which the filter saw no disturbances: what it
@@ -70,6 +71,8 @@ class Predictable:
 
     equation: str
     from_own_past: bool
+    ahead_s: float
+    """By how long the own past is earlier; 0 of what the robot did."""
     share: float
     runs_helped: int
     runs: int
@@ -83,7 +86,7 @@ def predictable_shares(
     without: Array,
     answers: bool,
 ) -> list[Predictable]:
-    """Return both shares of each equation, largest first; nothing for fewer than three logs.
+    """Return the shares of each equation, largest first; nothing for fewer than three logs.
 
     `values` are those of the final model, `without` of the refitted one without effects; `answers`
     tells whether loops are closed. Only robots have disturbances. `runs` may be pieces; pieces of a
@@ -101,11 +104,12 @@ def predictable_shares(
         rows = _sparse_rows(run)
         seen = np.maximum(rows - lead_rows(run), 0) if answers else rows
         features.append(_features(run, state if answers else foreseen(run, track), gear)[seen])
-        pasts.append(_own_past(run, state[:, DISTURBANCES], rows))
+        pasts.append([_own_past(run, state[:, DISTURBANCES], rows, s) for s in OWN_PASTS_S])
         targets.append(state[rows][:, DISTURBANCES])
         there.append(unexplained[rows][:, DISTURBANCES])
         owners.append(np.full(len(rows), names.index(run.name)))
-    x, past, y, owner = (np.concatenate(each) for each in (features, pasts, targets, owners))
+    x, y, owner = (np.concatenate(each) for each in (features, targets, owners))
+    later, latest = (np.concatenate(each) for each in zip(*pasts, strict=True))
     least = REST * np.sum(np.concatenate(there) ** 2, axis=0)
     least = np.maximum(least, SEEN * noise.coloured * len(y))
     folds = [range(first, len(names), FOLDS) for first in range(min(FOLDS, len(names)))]
@@ -113,7 +117,11 @@ def predictable_shares(
     def shares_of(index: int) -> list[Predictable]:
         target, found = y[:, index], []
         whole = np.bincount(owner, target**2, minlength=len(names))
-        for known, predicted in ((x, _by_trees), (past[:, index], _by_line)):
+        for known, predicted, ahead_s in (
+            (x, _by_trees, 0.0),
+            (later[:, index], _by_line, OWN_PASTS_S[0][0]),
+            (latest[:, index], _by_line, OWN_PASTS_S[1][0]),
+        ):
             error = np.empty_like(target)
             for fold in folds:
                 unseen = np.isin(owner, list(fold))
@@ -123,16 +131,18 @@ def predictable_shares(
             share = float((whole.sum() - left.sum()) / max(whole.sum(), least[index], 1e-300))
             helped = int(np.sum(left < whole))
             by_line = predicted is _by_line
-            found.append(Predictable(EQUATIONS[index], by_line, share, helped, len(names)))
+            found.append(Predictable(EQUATIONS[index], by_line, ahead_s, share, helped, len(names)))
         return found
 
     shares = side_by_side(shares_of, range(len(EQUATIONS)))
     return sorted((one for own in shares for one in own), key=lambda one: -one.share)
 
 
-def _own_past(run: Run, disturbances: Array, rows: npt.NDArray[np.int64]) -> Array:
+def _own_past(
+    run: Run, disturbances: Array, rows: npt.NDArray[np.int64], earlier_s: Sequence[float]
+) -> Array:
     """Disturbances (rows, equations, lags) before `rows`; zero where the filter had not settled."""
-    then_s = run.t_s[rows][:, None] - np.array(OWN_PAST_S)
+    then_s = run.t_s[rows][:, None] - np.array(earlier_s)
     known = then_s >= run.settled_s
     past = [np.interp(then_s, run.t_s, column) * known for column in disturbances.T]
     return np.stack(past, axis=1)
