@@ -163,9 +163,9 @@ def test_radii_of_all_wheels_and_of_one_stand_in_the_amended_model(tmp_path, mod
 def test_what_only_one_log_shows_is_said_and_not_judged(tmp_path, model):
     """Not refused as spoiling the others, of which nothing can be told."""
     logs = [make_log(seed, slip=0.05, seconds=120.0 if seed == 0 else 30.0) for seed in range(5)]
+    rng = np.random.default_rng(1)
     for log in logs[1:4]:
         still = {name: 0.0 * log.columns[name] for name in log.columns}
-        rng = np.random.default_rng(1)
         still |= {n: 3e-4 * rng.standard_normal(len(log.t_s)) for n in still if "pose" in n}
         log.columns.update(still)
     findings = find(tmp_path, model, logs)

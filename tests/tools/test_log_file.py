@@ -8,7 +8,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from omnislip.errors import InputError
-from omnislip.log_file import ROBOT_OPTIONAL, ROBOT_REQUIRED, Log, read_log, read_logs, write_log
+from omnislip.log_file import (
+    ROBOT_OPTIONAL,
+    ROBOT_REQUIRED,
+    Log,
+    read_log,
+    read_logs,
+    without_copies,
+    write_log,
+)
 
 AXIS = "t_s,axis/command,axis/position_m\n0.0,1.0,0.0\n0.1,2.0,0.5\n0.2,3.0,1.5\n"
 ODOMETRY_HEADER = "t_s," + ",".join(f"wheel/{wheel}/encoder_counts" for wheel in (1, 2, 3))
@@ -203,10 +211,11 @@ def test_logs_of_the_same_file_name_are_told_apart_by_their_folders(tmp_path):
     assert [log.series for log in logs] == ["a", "a", "b", "b"]
 
 
-def test_a_copy_of_a_log_is_refused(tmp_path, write):
+def test_a_copy_of_a_log_is_told_and_not_used(write):
     paths = [write("run.csv", AXIS), write("other.csv", f"{AXIS}9,0,0\n"), write("copy.csv", AXIS)]
-    with pytest.raises(InputError, match=r"copy\.csv: holds the same as \S+run\.csv; give it once"):
-        read_logs(paths, "axis")
+    kept, told = without_copies(read_logs(paths, "axis"))
+    assert [log.name for log in kept] == ["run", "other"]
+    assert told == ["copy: holds the same as run, not used"]
 
 
 def test_a_line_with_too_many_cells_is_named(write):

@@ -115,7 +115,7 @@ def read_log(path: Path | str, kind: str | None) -> Log:
 
 
 def read_logs(paths: Sequence[Path | str], kind: str | None) -> list[Log]:
-    """Read logs, each with a name of its own; InputError for a log that is given twice, or a copy.
+    """Read logs, each with a name of its own; InputError for a log that is given twice.
 
     Where file names are the same, so many folders are put before them that they differ.
     """
@@ -127,10 +127,20 @@ def read_logs(paths: Sequence[Path | str], kind: str | None) -> list[Log]:
         folders = range(1, len(own) + 1)
         tails = (own[-n:] for n in folders if [p[-n:] for p in parts].count(own[-n:]) == 1)
         logs.append(replace(read_log(path, kind), name="/".join(next(tails))))
-        for other, earlier in zip(paths, logs[:-1], strict=False):
-            if earlier.holds_same(logs[-1]):
-                raise InputError(f"{path}: holds the same as {other}; give it once")
     return logs
+
+
+def without_copies(logs: Sequence[Log]) -> tuple[list[Log], list[str]]:
+    """Return the logs that hold something of their own, and in sentences which others do not."""
+    kept: list[Log] = []
+    told = []
+    for log in logs:
+        same = next((other for other in kept if other.holds_same(log)), None)
+        if same is None:
+            kept.append(log)
+        else:
+            told.append(f"{log.name}: holds the same as {same.name}, not used")
+    return kept, told
 
 
 def write_log(log: Log, path: Path | str) -> None:

@@ -33,7 +33,7 @@ from omnislip.gap.metrics import gap_table, replay_all
 from omnislip.gap.noise import judging_noise, tune_noise
 from omnislip.gap.recordings import machine_for, unused_columns
 from omnislip.gap.wiring import mend
-from omnislip.log_file import read_logs
+from omnislip.log_file import read_logs, without_copies
 from omnislip.model_file import read_model
 
 
@@ -47,9 +47,10 @@ def evaluate_model(
     InputError for logs whose recording `gap find` would refuse as well.
     """
     model = read_model(model_path)
-    logs = [mend(log, model.effects) for log in read_logs(log_paths, model.kind)]
+    logs, told = without_copies(read_logs(log_paths, model.kind))
+    logs = [mend(log, model.effects) for log in logs]
     machine = machine_for(model, logs)
-    told = [f"{column}: not used" for column in unused_columns(machine, logs)]
+    told += [f"{column}: not used" for column in unused_columns(machine, logs)]
     far_apart = rows_far_apart(logs)
     if far_apart:
         raise InputError(f"the logs cannot be used: {far_apart}")

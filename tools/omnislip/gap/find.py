@@ -60,7 +60,7 @@ from omnislip.gap.search import (
 from omnislip.gap.unknown import Unknown, describe_unknown
 from omnislip.gap.where import Map, Place, describe, map_gap
 from omnislip.gap.wiring import find_wirings, mend
-from omnislip.log_file import Log, read_logs
+from omnislip.log_file import Log, read_logs, without_copies
 from omnislip.model_file import (
     IMPACT_KEYS,
     Effect,
@@ -230,9 +230,10 @@ def find_gap(
     if effects_path is not None:
         model = with_definitions(model, read_definitions(effects_path), effects_path)
     progress(f"reading {len(log_paths)} logs")
-    logs = [mend(log, model.effects) for log in read_logs(log_paths, model.kind)]
+    logs, told = without_copies(read_logs(log_paths, model.kind))
+    logs = [mend(log, model.effects) for log in logs]
     machine = machine_for(model, logs)
-    told = [f"{column}: not used" for column in unused_columns(machine, logs)]
+    told += [f"{column}: not used" for column in unused_columns(machine, logs)]
     files = [path for path in (model_path, effects_path, *log_paths) if path is not None]
     inputs = {str(path): _sha256(path) for path in files}
     reason = _too_little(machine, logs)
