@@ -132,15 +132,13 @@ def _pieces(machine, logs):
 )
 def test_the_plant_confirms_a_push(gain, explained, misfit, deviation, confirmed):
     deviations = np.full(3, deviation)
-    push = Impact(
-        "run_01", 1.0, np.ones(3), deviations, misfit=misfit, gain=gain, explained=explained
-    )
+    push = Impact("run_01", 1.0, np.ones(3), deviations, 0.0, misfit, gain, explained)
     assert push.confirmed == confirmed
 
 
 def test_a_push_may_turn_the_robot_alone():
     deviations = np.array([0.5, 0.5, 0.01])
-    push = Impact("run_01", 1.0, np.array([0.1, 0.1, 0.5]), deviations, 0.0, 1.0, gain=1e3)
+    push = Impact("run_01", 1.0, np.array([0.1, 0.1, 0.5]), deviations, 0.0, 1.0, 1e3, 0.97)
     assert push.confirmed
 
 

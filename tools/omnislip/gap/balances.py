@@ -44,7 +44,7 @@ from omnislip.gap.leftover import NULL_SPACE
 from omnislip.gap.machine import Machine
 from omnislip.gap.metrics import WINDOW_S, Replays
 from omnislip.gap.noise import GYRO, HEADING, POSE_XY, SHAFT, Noise, track_all
-from omnislip.gap.recordings import Run, wheel_jacobian
+from omnislip.gap.recordings import Run, rim_m_per_rad, wheel_jacobian
 
 Array = npt.NDArray[np.float64]
 
@@ -134,10 +134,10 @@ class _Windows:
         sets: Sequence[Array],
         tracks: Sequence[_core.Track],
     ) -> None:
-        run, keys = one.run, machine.model.values
+        run = one.run
         restarts_s = np.arange(run.settled_s, run.t_s[-1], WINDOW_S)
         centres_s = (restarts_s[:, None] + CENTRES_S).ravel()
-        self._radius_m = float(keys["robot.wheel_radius_m"]) / float(keys["motor.gear_ratio"])
+        self._radius_m = rim_m_per_rad(machine)
         self._jacobian = wheel_jacobian(machine)
         self._outputs, self._errors = run.outputs, one.errors / run.scale
         self._sd = np.sqrt(noise.output)

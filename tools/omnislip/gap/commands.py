@@ -125,8 +125,9 @@ def evaluate(
     if as_json:
         print(json.dumps(result, indent=1, allow_nan=False))
         return
-    count = f"{len(logs)} run" + ("s" if len(logs) > 1 else "")
-    table = Table(title=f"one-second replays of {robot} on {count}")
+    count = len(result["runs"])
+    runs = f"{count} run" + ("s" if count > 1 else "")
+    table = Table(title=f"one-second replays of {robot} on {runs}")
     for heading in ("channel", "RMSE", "noise floor"):
         table.add_column(heading, justify="left" if heading == "channel" else "right")
     for channel, figures in result["channels"].items():

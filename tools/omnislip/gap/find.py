@@ -300,12 +300,12 @@ def find_gap(
             return _insufficient(machine, reason, inputs, told, wirings)
     progress("replaying the held-out runs")
     believed, fitted = machine.believed, split.fitting
-    judging, replays, table = _judged(machine, split, outcome)
+    judging, replays, fitted_replays, table = _judged(machine, split, outcome)
     unproven = ""
     if outcome.selected and _closes_nothing(outcome.selected, table):
         unproven = _unproven_words(outcome.selected, table)
         outcome = outcome.without_effects()
-        judging, replays, table = _judged(machine, split, outcome)
+        judging, replays, fitted_replays, table = _judged(machine, split, outcome)
     rungs = [rung.hypothesis.flat(believed) for rung in outcome.ladder]
     refit, after = rungs[0], rungs[-1]
     models = [believed, refit, after]
@@ -328,7 +328,7 @@ def find_gap(
     cautions += [f"Besides, {unchecked}."] if unchecked else []
     cautions += [unproven] if unproven else []
     if verdict == "unknown_effect" and _much_is_left(table):
-        elsewhere = _only_held_out(machine, split, judging, after)
+        elsewhere = _only_held_out(split, fitted_replays)
         if elsewhere:
             cautions, places, gap_map = [*cautions, elsewhere], [], None
     unknown = None
@@ -378,27 +378,28 @@ def find_gap(
 
 def _judged(
     machine: Machine, split: Split, outcome: Outcome
-) -> tuple[Noise, list[Replays], GapTable]:
-    """Replay the held-out runs: the noise that judges, the replays and what they say."""
+) -> tuple[Noise, list[Replays], list[Replays], GapTable]:
+    """Replay the held-out runs, and the fitted ones.
+
+    Return the noise that judges, replays of both and what those of the held-out runs say.
+    """
     rungs = [outcome.ladder[0], outcome.ladder[-1]]
     refit, after = (rung.hypothesis.flat(machine.believed) for rung in rungs)
     models = [machine.believed, refit, after]
     judging = judging_noise(machine, split.fitting, after, outcome.data.noise)
     replays = replay_all(machine, split.held_out, judging, models)
-    table = gap_table(replays, replay_all(machine, split.fitting, judging, models))
+    fitted = replay_all(machine, split.fitting, judging, models)
+    table = gap_table(replays, fitted)
     if not outcome.selected:
         table = replace(table, closed=Closed(None, None, None))
-    return judging, replays, table
+    return judging, replays, fitted, table
 
 
-def _only_held_out(machine: Machine, split: Split, judging: Noise, after: Array) -> str:
+def _only_held_out(split: Split, fitted_replays: Sequence[Replays]) -> str:
     """Say so where whole logs are held out that are far off, and what was fitted is not."""
     fitted = {run.name for run in split.fitting}
     held_out = list(dict.fromkeys(run.name for run in split.held_out if run.name not in fitted))
-    if not held_out:
-        return ""
-    own = gap_table(replay_all(machine, split.fitting, judging, [after] * 3))
-    if own.left.excess >= LEAST_EXCESS:
+    if not held_out or gap_table(fitted_replays).left.excess >= LEAST_EXCESS:
         return ""
     return (
         f"The model explains the runs that were fitted; what is off is in {', '.join(held_out)}, "

@@ -76,6 +76,7 @@ def render(findings: Findings, command_line: str) -> str:
         return environment.get_template("report.html.j2").render(
             numbers=numbers,
             headline=_headline(numbers),
+            cannot_be_used=CANNOT_BE_USED,
             name=findings.machine.model.name or findings.machine.kind,
             added_text=_added_text(findings),
             effects=_effects(findings, numbers),
