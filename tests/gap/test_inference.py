@@ -465,36 +465,47 @@ def test_a_run_that_does_not_judge_has_no_vote():
 vectors = arrays(np.float64, 8, elements=floats(-10.0, 10.0, width=32))
 
 
-def doing(action, absent=0.0):
-    """A machine and a fit with one effect that does `action` (m,) to the residuals."""
-    size, scale = 4.0, 2.0
-    parameter = SimpleNamespace(places=(1,), scale=scale)
-    effect = SimpleNamespace(parameters=(parameter,), amplitudes=(0,))
-    hypothesis = SimpleNamespace(
-        own=lambda index: slice(1, 2),
-        effects=(effect,),
-        values_of=lambda index: np.array([size]),
-    )
-    change = size - absent if np.isfinite(absent) else size
-    jacobian = np.stack([np.ones(8), action * scale / change], axis=1)
-    fitted = SimpleNamespace(hypothesis=hypothesis, residual=np.zeros(8), jacobian=jacobian)
-    return SimpleNamespace(believed=np.array([1.0, absent])), fitted
+def doing(action):
+    """A fit with one effect that does `action` (m,) to the residuals."""
+    hypothesis = SimpleNamespace(effects=(None,))
+    return SimpleNamespace(hypothesis=hypothesis, actions=lambda data: action[None])
 
 
-@pytest.mark.parametrize("absent", [0.0, 1.0, np.inf])
-def test_what_an_effect_does_alike_it_may_leave_in_full_and_elsewhere_nothing(absent):
+def test_what_an_effect_does_alike_it_may_leave_in_full_and_elsewhere_nothing():
     action = np.array([1.0, -2.0, 3.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-    machine, fitted = doing(action, absent)
+    fitted = doing(action)
     alike, elsewhere = 5.0 * np.abs(action), np.array([0.0, 0.0, 0.0, 1.0, 2.0, 0.0, 0.0, 0.0])
     share = 1e-3
-    assert left_by_shapes(machine, fitted, alike, lambda e: share) == pytest.approx(share * 14.0)
-    assert left_by_shapes(machine, fitted, elsewhere, lambda e: share) == 0.0
-    assert left_by_shapes(machine, fitted, alike, lambda e: 0.0) == 0.0
-    assert left_by_shapes(machine, fitted, 0.0 * alike, lambda e: share) == 0.0
+    assert left_by_shapes(None, fitted, alike, lambda e: share) == pytest.approx(share * 14.0)
+    assert left_by_shapes(None, fitted, elsewhere, lambda e: share) == 0.0
+    assert left_by_shapes(None, fitted, alike, lambda e: 0.0) == 0.0
+    assert left_by_shapes(None, fitted, 0.0 * alike, lambda e: share) == 0.0
+
+
+def test_what_an_effect_does_is_what_goes_with_it(dry):
+    """Small drag: its derivative times its size. A limit that nothing reaches: nothing. Play: less
+    than its derivative times its size, which would go on for ever."""
+    data, base, _ = dry
+
+    def model(name, values):
+        return fit(data, base.hypothesis.with_effect(candidate(data.machine, name), values), 0)
+
+    drag = candidate(data.machine, "viscous_friction_error").parameters[0]
+    viscous = data.machine.believed[drag.places[0]]
+    small = model("viscous_friction_error", [viscous + 0.01 * drag.scale])
+    [action] = small.actions(data)
+    assert action @ action > 0.0
+    assert action == pytest.approx(0.01 * small.jacobian[:, -1], abs=0.01 * np.abs(action).max())
+    [nothing] = model("current_limit", [1e6]).actions(data)
+    assert not nothing.any()
+    play = candidate(data.machine, "gear_backlash").parameters[0]
+    loose = model("gear_backlash", [5.0 * play.scale])
+    [action] = loose.actions(data)
+    assert 0.0 < np.linalg.norm(action) < 5.0 * np.linalg.norm(loose.jacobian[:, -1])
 
 
 def test_what_several_effects_leave_adds(dry):
-    """Each by its own columns of the derivative; one whose share is 0 leaves nothing."""
+    """Each by what goes with it; one whose share is 0 leaves nothing."""
     data, base, _ = dry
     effects = [c for c in data.machine.candidates() if len(c.amplitudes) == 1][:2]
     sizes = [0.5 * c.parameters[c.amplitudes[0]].scale for c in effects]
@@ -506,10 +517,10 @@ def test_what_several_effects_leave_adds(dry):
     both = fit(data, hypothesis, iterations=0)
     change = np.random.default_rng(1).standard_normal(len(both.residual))
     alone = [
-        left_by_shapes(data.machine, both, change, lambda effect, own=own: float(effect is own))
+        left_by_shapes(data, both, change, lambda effect, own=own: float(effect is own))
         for own in effects
     ]
-    together = left_by_shapes(data.machine, both, change, lambda effect: 1.0)
+    together = left_by_shapes(data, both, change, lambda effect: 1.0)
     assert min(alone) > 0.0
     assert together == pytest.approx(sum(alone))
 
@@ -518,8 +529,7 @@ def test_what_several_effects_leave_adds(dry):
 def test_no_shape_that_is_off_by_no_more_leaves_more(action, change, off):
     """Whatever share of its action an effect is off in each residual, up to 1; one reaches it."""
     assume(change @ change > 1e-6)
-    machine, fitted = doing(action)
-    most = left_by_shapes(machine, fitted, change, lambda effect: 1.0)
+    most = left_by_shapes(None, doing(action), change, lambda effect: 1.0)
 
     def gain(left):
         return (left @ change) ** 2 / (change @ change)

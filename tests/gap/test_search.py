@@ -305,12 +305,32 @@ def test_a_delay_of_some_rows_is_found_in_a_loop_that_it_sets_swinging(tmp_path,
     data, current = settle(robot, runs, believed_hypothesis(robot))
     accepted = fit(data, current.hypothesis.with_effect(candidates["driver_lag"], [0.0155]))
     ahead = search_module._Ahead(data, current, robot.candidates(), 1, 100, silent)
-    further = ahead.far_delay(candidates["actuation_delay"], accepted)
+    further = ahead.far(candidates["actuation_delay"], accepted)
     if name == "actuation_delay":
         quarter_row_s = 0.25 * 0.005
         assert further.fitted.hypothesis.values_of(0) == pytest.approx(0.0155, abs=quarter_row_s)
     else:
         assert further is None
+
+
+@pytest.mark.parametrize("angle_rad", [0.063, 0.0])
+def test_play_is_found_where_less_play_explains_less_than_none(tmp_path, angle_rad):
+    """No derivative leads there; where there is none, none is found."""
+    hidden = (HiddenEffect("gear_backlash", {"angle_rad": angle_rad}),) if angle_rad else ()
+    effects = tuple(effect.as_dict() for effect in hidden)
+    case = TruthCase(seed=21007, effects=effects, sensors=("gyro", "pose", "supply"), runs=2)
+    robot, runs, candidates = robot_runs(case, tmp_path)
+    data, current = settle(robot, runs, believed_hypothesis(robot))
+    play = candidates["gear_backlash"]
+    ahead = search_module._Ahead(data, current, robot.candidates(), 1, 100, silent)
+    further = ahead.far(play, None)
+    if angle_rad:
+        half = ahead._likelihood(current.hypothesis.with_effect(play, [0.5 * angle_rad]))
+        assert half < ahead._likelihood(current.hypothesis)
+        assert further.fitted.hypothesis.values_of(0) == pytest.approx(angle_rad, rel=0.03)
+    else:
+        assert further is None
+        assert ahead.trials == []
 
 
 def test_answers_within_a_row_are_no_delay_of_some_rows(tmp_path):
@@ -326,7 +346,7 @@ def test_answers_within_a_row_are_no_delay_of_some_rows(tmp_path):
     )
     assert before > here + search_module.SURE_GAIN
     ahead = search_module._Ahead(data, current, robot.candidates(), 1, 100, silent)
-    assert ahead.far_delay(delay, None) is None
+    assert ahead.far(delay, None) is None
     assert ahead.trials == []
 
 

@@ -207,6 +207,26 @@ class Fit:
     def _refits(self) -> dict[int, "Fit"]:
         return {}
 
+    def actions(self, data: "Data") -> Array:
+        """Return what each effect of the model does to the residuals (effects, m).
+
+        By taking it out whole: of play or stiff gears the derivative times the size is many times
+        that, for it holds at one size only.
+        """
+        if not self._actions:
+            hypothesis, without = self.hypothesis, []
+            for index, effect in enumerate(hypothesis.effects):
+                x, first = hypothesis.x.copy(), hypothesis.own(index).start
+                for k in effect.amplitudes:
+                    x[first + k] = data.believed[effect.parameters[k].places[0]]
+                without.append(hypothesis.flat(data.believed, x))
+            self._actions.append(self.residual - data.residuals(np.stack(without)))
+        return self._actions[0]
+
+    @cached_property
+    def _actions(self) -> list[Array]:
+        return []
+
     def sharing(self, index: int) -> "Fit":
         """Return this fit without the columns of effect number `index`; the others stay there."""
         shared = np.delete(self.jacobian, self.hypothesis.own(index), axis=1)
@@ -650,7 +670,7 @@ def _grams(data: Data, fitted: Fit) -> Array:
 
 
 def left_by_shapes(
-    machine: Machine, fitted: Fit, change: Array, share_of: Callable[[Candidate], float]
+    data: Data, fitted: Fit, change: Array, share_of: Callable[[Candidate], float]
 ) -> float:
     """Return the gain along a change of the residuals (m,) that shapes of effects may leave.
 
@@ -663,28 +683,10 @@ def left_by_shapes(
     size, square = np.abs(change), float(change @ change)
     if not square:
         return 0.0
-    left = 0.0
-    for index, effect in enumerate(fitted.hypothesis.effects):
-        share = share_of(effect)
-        if share:
-            left += share * float(size @ np.abs(_action(machine, fitted, index))) ** 2
-    return left / square
-
-
-def _action(machine: Machine, fitted: Fit, index: int) -> Array:
-    """What an effect of the model does to the residuals (m,), by their derivative.
-
-    Of a limit, which is infinite where it is absent, what the limit itself does.
-    """
-    hypothesis = fitted.hypothesis
-    effect, sizes = hypothesis.effects[index], hypothesis.values_of(index)
-    first = hypothesis.own(index).start
-    action = np.zeros(len(fitted.residual))
-    for k in effect.amplitudes:
-        absent = machine.believed[effect.parameters[k].places[0]]
-        size = sizes[k] - absent if np.isfinite(absent) else sizes[k]
-        action += fitted.jacobian[:, first + k] * size / effect.parameters[k].scale
-    return action
+    shares = np.array([share_of(effect) for effect in fitted.hypothesis.effects])
+    if not shares.any():
+        return 0.0
+    return float(shares @ (np.abs(fitted.actions(data)) @ size) ** 2) / square
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ that is likelier by the noise that fits it takes it. Those that do as well withi
 within what a controller feigns, cannot be told from it with these logs.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -124,9 +124,13 @@ CONFIDENCE = 1.959964
 PROFILE_STEPS, PROFILE_BETWEEN = 0.5 ** np.arange(12.0, -1.0, -1.0), 9
 """Where between a value and its last an end of its interval is looked for, and places in the step
 that holds the end."""
-DELAY = "actuation_delay"
-FAR_DELAYS_ROWS, FAR_STEPS_ROWS = (1.5, 2.0, 3.0, 4.0, 6.0), (0.5, 0.25)
-"""Delays to which no derivative leads, in rows, and steps from the best of them."""
+DELAY, PLAY = "actuation_delay", "gear_backlash"
+FAR_DELAYS_ROWS, PLAY_STEP = (1.5, 2.0, 3.0, 4.0, 6.0), 1.35
+FAR_PLAYS = tuple(0.4 * PLAY_STEP**step for step in range(13))
+"""Delays, in rows, and plays, in their scale (4 to 150 mrad of a robot), where no derivative leads:
+of 63 mrad a play of 40 explains less than none."""
+FAR_STEPS = (0.5, 0.25)
+"""Steps from the best of them, in rows or steps from play to play."""
 
 
 @dataclass(frozen=True)
@@ -237,11 +241,11 @@ def search(
         found = _try(data, current, worth, step, tried, progress)
         accepted = next((fitted for trial, fitted in found if trial.accepted), None)
         ahead = _Ahead(data, current, candidates, step, tried, progress)
-        # By the filter of a model without it a delay of some rows may promise nothing.
-        delay = next((c for c in candidates if c.effect == DELAY), None)
-        further = ahead.far_delay(delay, accepted) if delay else None
+        # By the filter of a model without it a delay of some rows, or play, may promise nothing.
+        far = [ahead.far(c, accepted) for c in candidates if c.effect in (DELAY, PLAY)]
+        further = max(filter(None, far), key=_Further.gain, default=None)
         if further is not None:
-            reason = "explains less than a delay of more rows"
+            reason = f"explains less than {further.trial.candidate.name} far from none"
             found = [(_gives_way(trial, reason), one) for trial, one in found]
         elif accepted is None:
             further = ahead.best(found, worth)
@@ -732,8 +736,13 @@ def _judge(
     values = fitted.hypothesis.values_of(index)
     absent = _neutral(data, without.hypothesis, candidate)
     chance = min(1.0, evidence.p_value * tried)
-    left = SHAPE_SHARE * _left_by_others(data, without, fitted, index)
-    reason, passed = _verdict(data, evidence, chance, check, left)
+    reason, passed = _verdict(data, evidence, chance, check)
+    if passed and evidence.beyond_chance < SHAPE_SHARE * _left_by_others(
+        data, without, fitted, index
+    ):
+        off = 100 * SHAPE_SHARE**0.5
+        reason = f"real perhaps, but effects found would leave as much if {off:.0f} % off in shape"
+        passed = False
     if passed and not _differs(candidate, values - absent, evidence):
         reason, passed = "its size cannot be told from none beside the other parameters", False
     sure = evidence.beyond_chance > SURE_GAIN
@@ -769,7 +778,7 @@ class _Further:
 
 
 class _Ahead:
-    """One step further, where none was taken or a delay of some rows explains more.
+    """One step further, where none was taken or a delay of some rows, or play, explains more.
 
     Each of the best is judged again by the noise that is left beside it: noise that was tuned
     without an effect covers it and pulls its size, so that a fit gains little of what was promised.
@@ -827,40 +836,44 @@ class _Ahead:
         ]
         return best
 
-    def far_delay(self, candidate: Candidate, accepted: Fit | None) -> _Further | None:
-        """Return the model with a delay of more than a row, where that explains more than anything.
+    def far(self, candidate: Candidate, accepted: Fit | None) -> _Further | None:
+        """Return the model with a delay or play far from none, if that explains more than anything.
 
-        In a closed loop that such a delay sets swinging, the predictor of a model without it loses
-        the robot by one with it: there each delay has to be judged along its own filter. A row's
-        mean command holds the answer to what happened within it, so a likelihood that takes
+        The predictor of a model without it loses the robot by one with it, or takes for chance what
+        the play does: there each size has to be judged along its own filter. In a closed loop a
+        row's mean command holds the answer to what happened within it, so a likelihood that takes
         commands as given prefers those of the row before (in one log without a delay: 3,500 more at
-        1.25 rows): what ends nearer than the first of these delays is none of them.
+        1.25 rows): what ends nearer than the first of these sizes is none of them.
         """
-        nearest = FAR_DELAYS_ROWS[0]
-        row_s = max(run.row_s for run in self._data.runs)
-        current = self._current.hypothesis
+        delay = candidate.effect == DELAY
+        parameter, current = candidate.parameters[0], self._current.hypothesis
+        unit = max(run.row_s for run in self._data.runs) if delay else parameter.scale
+        sizes = FAR_DELAYS_ROWS if delay else FAR_PLAYS
+        nearest, most = sizes[0], parameter.high / unit
+        found = dict[float, float]()
 
-        def delayed(rows: float) -> Hypothesis:
-            return current.with_effect(candidate, [rows * row_s])
+        def try_sizes(wanted: Iterable[float]) -> float:
+            """Return the likeliest of all sizes so far."""
+            fresh = [size for size in wanted if size <= most and size not in found]
+            models = [current.with_effect(candidate, [size * unit]) for size in fresh]
+            found.update(zip(fresh, side_by_side(self._likelihood, models), strict=True))
+            return max(found, key=found.__getitem__, default=nearest)
 
-        most = candidate.parameters[0].high / row_s
-        found = {rows: self._likelihood(delayed(rows)) for rows in FAR_DELAYS_ROWS if rows <= most}
+        best = try_sizes(sizes)
         least = self._likelihood(accepted.hypothesis if accepted else current) + SURE_GAIN / 2
-        if max(found.values(), default=-np.inf) < least:
+        if found.get(best, -np.inf) < least:
             return None
-        for step in FAR_STEPS_ROWS:
-            best = max(found, key=found.__getitem__)
-            near = [rows for rows in (best - step, best + step) if rows <= most]
-            found |= {rows: self._likelihood(delayed(rows)) for rows in near if rows not in found}
-        best = max(found, key=found.__getitem__)
+        for share in FAR_STEPS:
+            step = share * (1.0 if delay else best * (PLAY_STEP - 1.0))
+            best = try_sizes((best - step, best + step))
         if best < nearest:
             return None
-        first = self._by_its_noise(candidate, delayed(best))
+        first = self._by_its_noise(candidate, current.with_effect(candidate, [best * unit]))
         if first is None:
             return None
         self.trials.append(first.trial)
-        [delay_s] = first.fitted.hypothesis.values_of(len(current.effects))
-        return first if first.trial.accepted and delay_s >= nearest * row_s else None
+        [size] = first.fitted.hypothesis.values_of(len(current.effects))
+        return first if first.trial.accepted and size >= nearest * unit else None
 
     def _likelihood(self, hypothesis: Hypothesis) -> float:
         """Logarithm of that of a model's own filter, by the noise that is known."""
@@ -964,8 +977,9 @@ def _both_pass(data: Data, without: Fit, both: Fit, check: Check, tried: int) ->
         effect, sizes = both.hypothesis.effects[index], both.hypothesis.values_of(index)
         rest = both.refitted_without(data, index)
         evidence = weigh(data, rest, both, index)
-        least = max(data.feigned_gain, SHAPE_SHARE * _left_by_others(data, rest, both, index))
-        if evidence.p_value * tried >= ALPHA or evidence.beyond_chance < least:
+        if evidence.p_value * tried >= ALPHA or evidence.beyond_chance < data.feigned_gain:
+            return False
+        if evidence.beyond_chance < SHAPE_SHARE * _left_by_others(data, rest, both, index):
             return False
         absent = _neutral(data, rest.hypothesis, effect)
         if not _differs(effect, sizes - absent, evidence) or _within_row(data, effect, sizes):
@@ -1056,9 +1070,7 @@ def _replays_better(data: Data, without: Fit, with_effect: Fit, check: Check, su
     return fall > 0 or (sure and between < REPLAYS_ALIKE)
 
 
-def _verdict(
-    data: Data, evidence: Evidence, chance: float, check: Check, left: float
-) -> tuple[str, bool]:
+def _verdict(data: Data, evidence: Evidence, chance: float, check: Check) -> tuple[str, bool]:
     if chance >= ALPHA:
         return f"could be chance (p = {chance:.2g} over everything tried)", False
     if evidence.beyond_chance < data.feigned_gain:
@@ -1070,10 +1082,6 @@ def _verdict(
         return "makes runs worse that were not fitted", False
     if not check.helps:
         return f"helps only {check.helped} of {voters} runs that were not fitted", False
-    if evidence.beyond_chance < left:
-        off = 100 * SHAPE_SHARE**0.5
-        reason = f"real perhaps, but effects found would leave as much if {off:.0f} % off in shape"
-        return reason, False
     return "explains more than any other effect", True
 
 
@@ -1081,9 +1089,7 @@ def _left_by_others(data: Data, without: Fit, fitted: Fit, index: int) -> float:
     """Gain of effect `index` that the others would leave if off by all that they do."""
     own = fitted.hypothesis.effects[index]
     change = without.residual - fitted.residual
-    return left_by_shapes(
-        data.machine, fitted, change, lambda effect: 0.0 if effect is own else 1.0
-    )
+    return left_by_shapes(data, fitted, change, lambda effect: 0.0 if effect is own else 1.0)
 
 
 def _within_row(data: Data, candidate: Candidate, sizes: Array) -> bool:
