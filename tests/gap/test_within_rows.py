@@ -1,10 +1,13 @@
 """What commands do within rows: rises that the means tell, none that they do not; jumps are in
 test_recordings.py."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from omnislip.gap import answers
 from omnislip.gap import truth as truth_module
 from omnislip.gap.answers import likelier_held
 from omnislip.gap.machine import Machine
@@ -101,6 +104,20 @@ def asked(**case):
     runs = runs_of(ROBOT, truth)
     noise = tune_noise(ROBOT, runs, ROBOT.believed)
     return likelier_held(ROBOT, runs, ROBOT.believed, noise) > 0.0
+
+
+def test_one_run_in_which_wheels_break_loose_a_moment_later_does_not_tell(monkeypatch):
+    """By its likelihoods alone: -60, -50, -10, 1400 and -130 if commands were held."""
+    moved, held = [0.0] * 5, [-60.0, -50.0, -10.0, 1400.0, -130.0]
+    asked = iter([moved, held])
+    monkeypatch.setattr(
+        answers,
+        "track_all",
+        lambda *_, **__: [SimpleNamespace(log_likelihood=value) for value in next(asked)],
+    )
+    monkeypatch.setattr(answers, "news_of", lambda *_: SimpleNamespace(share=0.0))
+    runs = [SimpleNamespace(held_in_rows=lambda: None) for _ in moved]
+    assert likelier_held(ROBOT, runs, ROBOT.believed, None) == 5 * -50.0
 
 
 @pytest.mark.parametrize("excitation", ["rich", "ordinary"])

@@ -1243,26 +1243,27 @@ def _swap(
 def _one_of_curve(
     data: Data, fitted: Fit, neighbours: dict[str, list[Candidate]], progress: Progress
 ) -> tuple[Data, Fit]:
-    """Put another friction curve and one effect in the place of two that change it, where likelier.
+    """Put another friction curve and one effect in the place of all that change it, where likelier.
 
-    No single exchange leads there. Each model is judged by its own noise.
+    No single exchange leads there: the curve was refined beside the others. Each model is judged by
+    its own noise.
     """
-    machine, pair = data.machine, _curves_in(fitted)
-    if len(pair) < 2:
+    machine, several = data.machine, _curves_in(fitted)
+    if len(several) < 2:
         return data, fitted
-    names = " and ".join(sorted(pair))
-    progress(f"comparing {names} with one of them beside another friction curve")
+    others = [name for name in CURVES if {name, CURVE} != several]
+    progress(f"comparing {' and '.join(sorted(several))} with {' or '.join(others)} beside a curve")
     known = {candidate.name: candidate for candidate in machine.candidates()}
     bare = fitted.hypothesis
     for index, effect in reversed(list(enumerate(bare.effects))):
-        if effect.effect in (*CURVES, CURVE):
+        if effect.effect in several:
             bare = bare.without(index)
     curved = fit(data, bare)
     [start] = screen(data, curved, [known[CURVE]])
     [curved] = _refit(data, curved, [start])
     best = settle(machine, data.runs, fitted.hypothesis, data.noise)
     likeliest = _log_posterior(*best)
-    for start in screen(data, curved, [known[name] for name in CURVES]):
+    for start in screen(data, curved, [known[name] for name in others]):
         [one] = _refit(data, curved, [start])
         other, one = settle(machine, data.runs, one.hypothesis, data.noise)
         one = _extend(machine, other, one)
@@ -1274,7 +1275,8 @@ def _one_of_curve(
 
 
 def _curves_in(fitted: Fit) -> set[str]:
-    return {effect.effect for effect in fitted.hypothesis.effects} & set(CURVES)
+    """What changes the friction over slip in this model, the curve itself among it."""
+    return {effect.effect for effect in fitted.hypothesis.effects} & {*CURVES, CURVE}
 
 
 def _log_posterior(data: Data, fitted: Fit) -> float:
