@@ -529,6 +529,22 @@ def test_two_that_change_the_curve_stand_for_one_beside_another_curve(tmp_path, 
     assert {effect.effect for effect in found.hypothesis.effects} == expected
 
 
+def test_a_grip_that_falls_at_once_beside_a_curve_may_be_a_low_grip_beside_another(tmp_path):
+    """And a low grip that is right stays."""
+    low = HiddenEffect("low_grip", {"scale": 0.75}).as_dict()
+    case = TruthCase(seed=509, effects=(low,), friction_curve="brush", excitation="rich", runs=2)
+    robot, runs, candidates = robot_runs(case, tmp_path)
+    base = believed_hypothesis(robot)
+    for name, sizes in (("grip_falloff", [0.23, 0.05]), ("low_grip", [0.75])):
+        start = base.with_effect(candidates[name], sizes)
+        start = start.with_effect(candidates["contact_shape"], [1.0])
+        _, found = search_module._one_of_curve(*settle(robot, runs, start), {}, silent)
+        assert {effect.effect for effect in found.hypothesis.effects} == {
+            "contact_shape",
+            "low_grip",
+        }
+
+
 @pytest.mark.parametrize("magnets", [9.0, 36.0])
 def test_every_number_of_magnets_is_looked_for(tmp_path, magnets):
     """One next to it is out of step after some turns, so that no fit leads from there."""

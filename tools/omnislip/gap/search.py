@@ -1259,18 +1259,27 @@ def _one_of_curve(
         if effect.effect in several:
             bare = bare.without(index)
     curved = fit(data, bare)
+    allowed = fitted.objective + NEARLY_AT_FIRST * (curved.objective - fitted.objective)
     [start] = screen(data, curved, [known[CURVE]])
     [curved] = _refit(data, curved, [start])
-    best = settle(machine, data.runs, fitted.hypothesis, data.noise)
-    likeliest = _log_posterior(*best)
-    for start in screen(data, curved, [known[name] for name in others]):
-        [one] = _refit(data, curved, [start])
-        other, one = settle(machine, data.runs, one.hypothesis, data.noise)
-        one = _extend(machine, other, one)
-        likelihood = _log_posterior(other, one)
+    starts = screen(data, curved, [known[name] for name in others])
+    best, likeliest, name = (data, fitted), _log_posterior(data, fitted), ""
+    for one in side_by_side(lambda start: _refit(data, curved, [start])[0], starts):
+        if one.objective > allowed:
+            continue
+        try:
+            other = _with_own_noise(data, one)
+        except RunawayError:
+            continue
+        likelihood = _log_posterior(*other)
         if likelihood > likeliest:
-            best, likeliest = (other, one), likelihood
-            neighbours[start.candidate.name] = [known[name] for name in CURVES]
+            best, likeliest, name = other, likelihood, one.hypothesis.effects[-1].name
+    if not name:
+        return best
+    own = _with_own_noise(data, fitted)
+    if likeliest <= _log_posterior(*own):
+        return own
+    neighbours[name] = [known[other] for other in CURVES]
     return best
 
 
