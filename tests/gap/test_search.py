@@ -325,8 +325,8 @@ def test_play_is_found_where_less_play_explains_less_than_none(tmp_path, angle_r
     ahead = search_module._Ahead(data, current, robot.candidates(), 1, 100, silent)
     further = ahead.far(play, None)
     if angle_rad:
-        half = ahead._likelihood(current.hypothesis.with_effect(play, [0.5 * angle_rad]))
-        assert half < ahead._likelihood(current.hypothesis)
+        half = ahead._likelihood(current.hypothesis.with_effect(play, [0.5 * angle_rad]), runs)
+        assert half < ahead._likelihood(current.hypothesis, runs)
         assert further.fitted.hypothesis.values_of(0) == pytest.approx(angle_rad, rel=0.03)
     else:
         assert further is None

@@ -168,7 +168,7 @@ def tune_noise(
     is enough where the model is fitted again afterwards. A robot's chance fades at `slowest_1_s` or
     faster.
     """
-    chosen = _some_runs(runs)
+    chosen = some_runs(runs)
     make, start_of = NOISES[machine.kind]
     guess = start_of(chosen)
     if machine.engine.pushes:
@@ -273,24 +273,24 @@ class _Path:
     def _score(self, logs: Array) -> tuple[float, Array, Array]:
         """Return log-likelihood, its slope and the information at `logs`.
 
-        With S_k the covariance of row k and D_ik = S_k^-1 dS_k / d log v_i, what variance i does to
-        it, the information is I_ij = sum_k tr(D_ik D_jk) / 2.
+        With S_k = L_k L_k' the covariance of row k and A_ik = L_k^-1 dS_k / d log v_i L_k^-T, what
+        variance i does to it, the information is I_ij = sum_k tr(A_ik A_jk) / 2.
         """
         count = len(logs)
         totals, covariance = self._look(np.vstack([logs, logs + PROBE * np.eye(count)]))
-        rows, m = covariance.shape[1:3]
+        m = covariance.shape[-1]
         unsampled = np.diagonal(covariance[0], axis1=1, axis2=2) == 0
-        inverse = np.linalg.inv(covariance[0] + np.eye(m) * unsampled[:, None, :])
-        beside = (covariance[1:] - covariance[0]).transpose(1, 2, 0, 3).reshape(rows, m, -1)
-        changes = (inverse @ beside / PROBE).reshape(rows, m, count, m).transpose(2, 0, 1, 3)
-        turned = changes.transpose(0, 1, 3, 2).reshape(count, -1)
-        information = 0.5 * changes.reshape(count, -1) @ turned.T + PULL * np.eye(count)
+        root = np.linalg.cholesky(covariance[0] + np.eye(m) * unsampled[:, None, :])
+        whiten = np.linalg.inv(root)
+        changes = whiten @ (covariance[1:] - covariance[0]) @ whiten.transpose(0, 2, 1)
+        changes = changes.reshape(count, -1) / PROBE
+        information = 0.5 * changes @ changes.T + PULL * np.eye(count)
         slope = (totals[1:] - totals[0]) / PROBE + 0.5 * PROBE * np.diag(information)
         return float(totals[0]), slope, information
 
 
-def _some_runs(runs: Sequence[Run]) -> list[Run]:
-    """Runs from the whole range, `TUNING_TIME_S` together or more, with every sensor in one."""
+def some_runs(runs: Sequence[Run]) -> list[Run]:
+    """Return runs from the whole range, `TUNING_TIME_S` or more, with every sensor in one."""
     share = TUNING_TIME_S / max(sum(run.duration_s for run in runs), 1e-9)
     count = int(np.clip(np.ceil(share * len(runs)), 1, len(runs)))
     chosen = set(np.linspace(0, len(runs) - 1, count).round().astype(int))

@@ -54,7 +54,7 @@ from omnislip.gap.leftover import (
 )
 from omnislip.gap.machine import CURVE, PHASE, WHOLE, Candidate, Machine
 from omnislip.gap.metrics import improvement, replay_all
-from omnislip.gap.noise import Noise, RunawayError, track_all, tune_noise
+from omnislip.gap.noise import Noise, RunawayError, some_runs, track_all, tune_noise
 from omnislip.gap.recordings import Run
 from omnislip.gap.side_by_side import side_by_side
 
@@ -656,10 +656,13 @@ def _try(
         results.append((one.candidate, fitted, weigh(data, current, fitted, index)))
     results = _simplest_first(results)
     checks = check_unseen(data, current, [fitted for _, fitted, _ in results])
-    judged = [
-        (_judge(data, current, fitted, candidate, evidence, check, step, tried), fitted)
-        for (candidate, fitted, evidence), check in zip(results, checks, strict=True)
-    ]
+    judged, most = [], np.inf
+    for (candidate, fitted, evidence), check in zip(results, checks, strict=True):
+        nearly = fitted.objective < most  # else the best that passes decides without replays
+        trial = _judge(data, current, fitted, candidate, evidence, check, step, tried, nearly)
+        judged.append((trial, fitted))
+        if trial.accepted and most == np.inf:
+            most = _nearly_as_good(trial, fitted)
     passed = [pair for pair in judged if pair[0].accepted]
     if not passed:
         return judged
@@ -690,8 +693,7 @@ def _taken(data: Data, passed: Sequence[tuple[Trial, Fit]], progress: Progress) 
     large explained 0.5 % less than a scale of the encoders, and were likelier by exp(238).
     """
     (best, fitted), *others = passed
-    inflation = best.evidence.inflation
-    most = fitted.objective + max(RIVAL_MARGIN * inflation, NEARLY_AT_FIRST * best.evidence.gain)
+    most = _nearly_as_good(best, fitted)
     near = [
         (trial, one)
         for trial, one in others
@@ -703,8 +705,16 @@ def _taken(data: Data, passed: Sequence[tuple[Trial, Fit]], progress: Progress) 
     progress(f"comparing {best.candidate.name} and {names}, each by its own noise")
     own, *theirs = side_by_side(lambda pair: _own_likelihood(data, pair[1]), [passed[0], *near])
     likeliest = int(np.argmax(theirs))
-    enough = own + 0.5 * RIVAL_MARGIN * inflation
+    enough = own + 0.5 * RIVAL_MARGIN * best.evidence.inflation
     return near[likeliest][0] if theirs[likeliest] > enough else best
+
+
+def _nearly_as_good(best: Trial, fitted: Fit) -> float:
+    """Return Q below which another explains nearly as much as the best, whose fit is given."""
+    evidence = best.evidence
+    return fitted.objective + max(
+        RIVAL_MARGIN * evidence.inflation, NEARLY_AT_FIRST * evidence.gain
+    )
 
 
 def _own_likelihood(data: Data, fitted: Fit) -> float:
@@ -730,8 +740,9 @@ def _judge(
     check: Check,
     step: int,
     tried: int,
+    replays: bool = True,
 ) -> Trial:
-    """Judge the last effect of a model against the model `without` it."""
+    """Judge the last effect of a model against the model `without` it; by `replays` or not."""
     index = len(without.hypothesis.effects)
     values = fitted.hypothesis.values_of(index)
     absent = _neutral(data, without.hypothesis, candidate)
@@ -746,7 +757,7 @@ def _judge(
     if passed and not _differs(candidate, values - absent, evidence):
         reason, passed = "its size cannot be told from none beside the other parameters", False
     sure = evidence.beyond_chance > SURE_GAIN
-    if passed and not _replays_better(data, without, fitted, check, sure):
+    if passed and replays and not _replays_better(data, without, fitted, check, sure):
         reason, passed = "helps the predictor but not replays of runs that were not fitted", False
     if passed and _within_row(data, candidate, values):
         reason, passed = "shorter than the log can time: a tenth of a row", False
@@ -846,26 +857,33 @@ class _Ahead:
         1.25 rows): what ends nearer than the first of these sizes is none of them.
         """
         delay = candidate.effect == DELAY
-        parameter, current = candidate.parameters[0], self._current.hypothesis
-        unit = max(run.row_s for run in self._data.runs) if delay else parameter.scale
+        parameter, current, runs = (
+            candidate.parameters[0],
+            self._current.hypothesis,
+            self._data.runs,
+        )
+        unit = max(run.row_s for run in runs) if delay else parameter.scale
         sizes = FAR_DELAYS_ROWS if delay else FAR_PLAYS
         nearest, most = sizes[0], parameter.high / unit
-        found = dict[float, float]()
 
-        def try_sizes(wanted: Iterable[float]) -> float:
-            """Return the likeliest of all sizes so far."""
-            fresh = [size for size in wanted if size <= most and size not in found]
-            models = [current.with_effect(candidate, [size * unit]) for size in fresh]
-            found.update(zip(fresh, side_by_side(self._likelihood, models), strict=True))
-            return max(found, key=found.__getitem__, default=nearest)
+        def likeliest(wanted: Iterable[float], runs: Sequence[Run]) -> tuple[float, float]:
+            """Return the likeliest of some sizes and its likelihood."""
+            possible = [size for size in wanted if size <= most]
+            models = [current.with_effect(candidate, [size * unit]) for size in possible]
+            found = side_by_side(lambda model: self._likelihood(model, runs), models)
+            return max(zip(found, possible, strict=True), default=(-np.inf, nearest))[::-1]
 
-        best = try_sizes(sizes)
-        least = self._likelihood(accepted.hypothesis if accepted else current) + SURE_GAIN / 2
-        if found.get(best, -np.inf) < least:
+        few = some_runs(runs)  # enough to see whether any is worth a look
+        best, likelihood = likeliest(sizes, few)
+        if likelihood <= self._likelihood(current, few):
+            return None
+        best, likelihood = likeliest([best], runs)
+        least = self._likelihood(accepted.hypothesis if accepted else current, runs)
+        if likelihood < least + SURE_GAIN / 2:
             return None
         for share in FAR_STEPS:
             step = share * (1.0 if delay else best * (PLAY_STEP - 1.0))
-            best = try_sizes((best - step, best + step))
+            best, _ = likeliest((best - step, best, best + step), runs)
         if best < nearest:
             return None
         first = self._by_its_noise(candidate, current.with_effect(candidate, [best * unit]))
@@ -875,11 +893,11 @@ class _Ahead:
         [size] = first.fitted.hypothesis.values_of(len(current.effects))
         return first if first.trial.accepted and size >= nearest * unit else None
 
-    def _likelihood(self, hypothesis: Hypothesis) -> float:
+    def _likelihood(self, hypothesis: Hypothesis, runs: Sequence[Run]) -> float:
         """Logarithm of that of a model's own filter, by the noise that is known."""
         values = hypothesis.flat(self._data.believed)
         try:
-            tracks = track_all(self._data.machine, self._data.runs, values, self._data.noise)
+            tracks = track_all(self._data.machine, runs, values, self._data.noise)
         except RunawayError:
             return -np.inf
         return float(np.nan_to_num(sum(t.log_likelihood for t in tracks), nan=-np.inf))
@@ -902,7 +920,7 @@ class _Ahead:
             offered.append(
                 self._current.hypothesis.with_effect(candidate, np.clip(larger, low, high))
             )
-        return max(offered, key=self._likelihood)
+        return max(offered, key=lambda one: self._likelihood(one, self._data.runs))
 
     def _by_its_noise(self, candidate: Candidate, start: Hypothesis) -> _Further | None:
         """Judge a candidate by the noise that fits it; None where its own filter loses the robot.
