@@ -591,6 +591,16 @@ def test_commands_are_asked_again_by_a_better_model(tmp_path, monkeypatch, first
     assert (find.HELD_COMMANDS in findings.recording) == held[-1]
 
 
+@pytest.mark.parametrize(("effects", "again"), [(0, False), (1, False), (2, True), (3, True)])
+def test_a_model_that_lacks_more_than_the_last_one_does_not_take_its_answer_back(
+    monkeypatch, effects, again
+):
+    monkeypatch.setattr(find, "likelier_held", lambda *_: 1e3)
+    machine = SimpleNamespace(holds_commands=False, believed=None)
+    model = SimpleNamespace(effects=[None] * effects, flat=lambda believed: believed)
+    assert find._takes_commands_wrongly(machine, [], 2, model, None) == again
+
+
 def stretches(runs):
     """(name, row time) of every row."""
     return {(run.name, float(t)) for run in runs for t in run.t_s}

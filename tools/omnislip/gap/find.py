@@ -259,17 +259,19 @@ def find_gap(
         machine = machine.of(model, holds_commands=True)
         noise, first = first_model(machine, held, (noise, first))
     runs, impacts = _pushes_beside(machine, logs, cuts, first, noise)
+    least = 0
     for left in reversed(range(3)):  # again where only a better model shows pushes or commands
         pushes = cuts + [(impact.run, impact.time_s) for impact in impacts]
         split = split_runs(machine, logs, pushes)
         if not split.enough:
             return _insufficient(machine, _too_cut(split), inputs, told, wirings)
-        mistaken = partial(_takes_commands_wrongly, machine, split.fitting) if left else None
+        mistaken = partial(_takes_commands_wrongly, machine, split.fitting, least) if left else None
         try:
             outcome = search(
                 machine, split.fitting, noise, progress, first.without_effects(), mistaken
             )
-        except MistakenError:
+        except MistakenError as error:
+            least = error.effects
             fitting = _other_commands(machine, split.fitting)
             machine = machine.of(model, holds_commands=not machine.holds_commands)
             progress(f"again with duties {'held' if machine.holds_commands else 'moving'} in rows")
@@ -436,9 +438,16 @@ def _unproven_words(selected: Sequence[Selected], table: GapTable) -> str:
 
 
 def _takes_commands_wrongly(
-    machine: Machine, runs: Sequence[Run], values: Array, noise: Noise
+    machine: Machine, runs: Sequence[Run], least: int, model: Hypothesis, noise: Noise
 ) -> bool:
-    """Whether a model shows that commands within rows are not what a first one took them for."""
+    """Whether a model shows that commands within rows are not what a first one took them for.
+
+    One with fewer effects than the `least`, those of the model that spoke last, has no say: what it
+    lacks moves commands within rows, too.
+    """
+    if len(model.effects) < least:
+        return False
+    values = model.flat(machine.believed)
     if not machine.holds_commands:
         return likelier_held(machine, runs, values, noise) > SURELY_MISTAKEN
     moving = machine.of(machine.model, holds_commands=False)

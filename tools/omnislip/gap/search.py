@@ -194,7 +194,11 @@ class Outcome:
 
 
 class MistakenError(Exception):
-    """A better model shows that the runs are not what they were taken for."""
+    """A better model, with so many `effects`, shows that runs are not what they were taken for."""
+
+    def __init__(self, effects: int) -> None:
+        super().__init__()
+        self.effects = effects
 
 
 @dataclass(frozen=True)
@@ -215,13 +219,13 @@ def search(
     noise: Noise | None,
     progress: Progress,
     start: Hypothesis | None = None,
-    mistaken: Callable[[Array, Noise], bool] | None = None,
+    mistaken: Callable[[Hypothesis, Noise], bool] | None = None,
 ) -> Outcome:
     """Find the missing effects on runs of two units or more.
 
     From a first `noise` and believed keys `start` that fit better than the file's, or none.
-    `mistaken` is asked, by the values and noise of each better model, whether what the runs were
-    taken for was wrong; then MistakenError is raised.
+    `mistaken` is asked, by each better model and its noise, whether what the runs were taken for
+    was wrong; then MistakenError is raised.
     """
     candidates = machine.candidates_for(runs)
     tried = sum(len(candidate.starts) for candidate in candidates)
@@ -275,8 +279,8 @@ def search(
         except RunawayError:
             trials = [_lost(trial) if trial.step == step else trial for trial in trials]
             break
-        if mistaken is not None and mistaken(current.hypothesis.flat(machine.believed), data.noise):
-            raise MistakenError
+        if mistaken is not None and mistaken(current.hypothesis, data.noise):
+            raise MistakenError(len(current.hypothesis.effects))
         settled = current
         data, current = _patch_settled(data, _extend(machine, data, current))
         current = _drop_needless(data, current, tried)
