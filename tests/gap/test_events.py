@@ -9,6 +9,7 @@ from omnislip.gap import events, recordings
 from omnislip.gap.events import (
     Impact,
     as_effect,
+    beside_lost_rows,
     find_impacts,
     known_pushes,
     pieces,
@@ -291,3 +292,14 @@ def test_a_jump_of_the_command_within_a_row_is_no_push(monkeypatch):
     assert found() == []
     monkeypatch.setattr(recordings, "parted_at_jumps", lambda *rows: (*rows, np.zeros(0, np.intp)))
     assert found() != []
+
+
+@pytest.mark.parametrize(
+    ("lost", "time_s", "beside"),
+    [(0, 0.1, False), (1, 0.1, False), (2, 0.1, True), (8, 0.12, True), (8, 0.06, False)],
+)
+def test_a_push_where_rows_are_missing_is_known_as_such(lost, time_s, beside):
+    """Rows of 5 ms, some of them lost behind 0.1 s; a push before, or in, the gap."""
+    t_s = np.arange(60) * 0.005
+    t_s = np.delete(t_s, np.arange(21, 21 + lost))
+    assert beside_lost_rows(Log("run", t_s, {}), time_s) == beside

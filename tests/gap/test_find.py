@@ -601,6 +601,15 @@ def test_a_model_that_lacks_more_than_the_last_one_does_not_take_its_answer_back
     assert find._takes_commands_wrongly(machine, [], 2, model, None) == again
 
 
+def test_pushes_where_rows_are_missing_are_parted_from_those_that_can_be_told():
+    whole = np.arange(100) * 0.005
+    logs = [Log("a", whole, {}), Log("b", np.delete(whole, np.arange(41, 50)), {})]
+    pushes = [SimpleNamespace(run=run, time_s=0.21) for run in ("a", "b")]
+    told, blind = find._by_lost_rows(logs, pushes)
+    assert [one.run for one in told] == ["a"]
+    assert [one.run for one in blind] == ["b"]
+
+
 def stretches(runs):
     """(name, row time) of every row."""
     return {(run.name, float(t)) for run in runs for t in run.t_s}

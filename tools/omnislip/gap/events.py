@@ -71,6 +71,9 @@ DRIVEN_ALIKE, PUSHED_ALIKE = 0.3, 0.5
 jumps do: in two drills of reversals 0.14 and 0.29 at most."""
 LEAST_BETWEEN_S = 4.0
 """Mean time from push to push below which they are none."""
+LOST_ROWS = 2
+"""Rows missing together from which on the command there is not known well enough to tell a push:
+a row's duty is said to hold until the next one, and may have been its own row's only."""
 REPLAY_STEP_S = 1e-3
 TIMES, SPAN_S, SPAN_ROWS, COARSE = 12, 0.024, 2, 4
 """How many times of a push are tried, over that span or so many rows up to the likeliest row."""
@@ -165,6 +168,15 @@ def without_repeated(runs: Sequence[Run], impacts: Sequence[Impact]) -> list[Imp
     it is refused too.
     """
     return [one for one in impacts if not any(_repeats(runs, one, other) for other in impacts)]
+
+
+def beside_lost_rows(log: Log, time_s: float) -> bool:
+    """Whether rows are missing where a push seems to begin: what was commanded there is unknown."""
+    step_s = np.diff(log.t_s)
+    row_s = float(np.median(step_s))
+    lost = step_s > (0.5 + LOST_ROWS) * row_s
+    begins, ends = log.t_s[:-1][lost] - row_s, log.t_s[1:][lost] + row_s
+    return bool(np.any((begins <= time_s) & (time_s <= ends)))
 
 
 def too_often(runs: Sequence[Run], impacts: Sequence[Impact]) -> bool:

@@ -20,7 +20,15 @@ from omnislip.errors import InputError
 from omnislip.files import replace_file
 from omnislip.gap.answers import likelier_held
 from omnislip.gap.balances import Balance, find_balances
-from omnislip.gap.events import Impact, as_effect, find_impacts, known_pushes, pieces, too_often
+from omnislip.gap.events import (
+    Impact,
+    as_effect,
+    beside_lost_rows,
+    find_impacts,
+    known_pushes,
+    pieces,
+    too_often,
+)
 from omnislip.gap.gates import check, logged_set_points, rows_far_apart, too_poor
 from omnislip.gap.inference import Data, Hypothesis, at_bound, fit, prior_penalty
 from omnislip.gap.inverse import relative_force_error
@@ -90,6 +98,7 @@ SURELY_MISTAKEN = 100.0
 """Log-likelihood by which a better model has to show that commands are not what the first took
 them for, held within rows or not: beside a delay of two rows that is missing they are 7,000 off,
 and what smooth commands do within rows tells 10 to 70 and nothing about effects."""
+BLIND = "where rows are missing: a push cannot be told from what was commanded there"
 HELD_COMMANDS = "duties: taken as held from row to row, as a controller at the rate of the log does"
 STABLE = 0.9
 """Share of resamples of the runs in which a name has to hold."""
@@ -286,6 +295,8 @@ def find_gap(
         impacts = confirmed if left else cut_out  # what was fitted as well is not to be told
         if settled:
             break
+    impacts, blind = _by_lost_rows(logs, impacts)
+    told += [f"{one.run}: cut at {one.time_s:.3f} s, {BLIND}" for one in blind]
     if machine.holds_commands:
         told.append(HELD_COMMANDS)
     if outcome.selected or outcome.leftover:
@@ -470,6 +481,16 @@ def _pushes_beside(
     """Return the runs of all logs and the impacts in them beside a model."""
     runs = [run for log in logs for run in usable_runs(machine, log, cuts)]
     return runs, find_impacts(machine, runs, model.flat(machine.believed), noise)
+
+
+def _by_lost_rows(
+    logs: Sequence[Log], impacts: Sequence[Impact]
+) -> tuple[list[Impact], list[Impact]]:
+    """Part impacts into those that can be told, and those where rows are missing."""
+    named = {log.name: log for log in logs}
+    blind = [beside_lost_rows(named[one.run], one.time_s) for one in impacts]
+    pairs = list(zip(impacts, blind, strict=True))
+    return [one for one, lost in pairs if not lost], [one for one, lost in pairs if lost]
 
 
 def _shapes(machine: Machine, split: Split, outcome: Outcome) -> list[Leftover]:
