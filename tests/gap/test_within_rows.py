@@ -117,7 +117,7 @@ def test_one_run_in_which_wheels_break_loose_a_moment_later_does_not_tell(monkey
     )
     monkeypatch.setattr(answers, "news_of", lambda *_: SimpleNamespace(share=0.0))
     runs = [SimpleNamespace(held_in_rows=lambda: None) for _ in moved]
-    assert likelier_held(ROBOT, runs, ROBOT.believed, None) == 5 * -50.0
+    assert likelier_held(ROBOT, runs, ROBOT.believed, None) == -60.0 - 50.0 - 10.0 + 120.0 - 120.0
 
 
 @pytest.mark.parametrize("excitation", ["rich", "ordinary"])

@@ -196,9 +196,9 @@ def likelier_held(machine: Machine, runs: Sequence[Run], values: Array, noise: N
 
     `runs` are those of commands that move. Infinite where a controller sets them row by row.
     (Likelihood alone does not tell a controller's: the means of the next row, by which a command
-    rises, answer what happened in this one.) All runs are of one controller, so their number times
-    the median of them decides: where wheels broke loose a moment later beside a model than in one
-    run, that run alone told 1,400 the other way.
+    rises, answer what happened in this one.) All runs are of one controller, so none counts more
+    than twice what half of them reach: in one run wheels broke loose a moment later than beside a
+    model, and it told 1,400 the other way.
     """
     if machine.kind != "robot":
         return -np.inf
@@ -209,10 +209,13 @@ def likelier_held(machine: Machine, runs: Sequence[Run], values: Array, noise: N
         return np.inf
     held = [run.held_in_rows() for run in runs]
     still = np.array([track.log_likelihood for track in track_all(machine, held, values, noise)])
+    still_follows = np.isfinite(still).all()
     if not follows:  # the filter lost the robot
-        return np.inf if np.isfinite(still).all() else 0.0
-    likelier = np.where(np.isnan(still), -np.inf, still - moved)
-    return float(len(runs) * np.median(likelier))
+        return np.inf if still_follows else 0.0
+    if not still_follows:
+        return -np.inf
+    most = 2.0 * np.median(np.abs(still - moved))
+    return float(np.sum(np.clip(still - moved, -most, most)))
 
 
 def _share_answered(logged: Sequence[tuple[Run, _core.Track]]) -> float:
