@@ -498,6 +498,9 @@ def test_what_an_effect_does_is_what_goes_with_it(dry):
     assert action == pytest.approx(0.01 * small.jacobian[:, -1], abs=0.01 * np.abs(action).max())
     [nothing] = model("current_limit", [1e6]).actions(data)
     assert not nothing.any()
+    limit = candidate(data.machine, "current_limit").parameters[0]
+    [clipped] = model("current_limit", [0.01 * limit.scale]).actions(data)
+    assert clipped.any()
     play = candidate(data.machine, "gear_backlash").parameters[0]
     loose = model("gear_backlash", [5.0 * play.scale])
     [action] = loose.actions(data)

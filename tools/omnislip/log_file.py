@@ -52,6 +52,11 @@ class Log:
     series: str = ""
     """Folder of the file: logs of one folder were taken under the same conditions."""
 
+    @property
+    def row_s(self) -> float:
+        """Usual time from row to row; 0 with one row."""
+        return float(np.median(np.diff(self.t_s))) if len(self.t_s) > 1 else 0.0
+
     def holds_same(self, other: "Log") -> bool:
         """Whether another log has the same rows in the same columns."""
         return (

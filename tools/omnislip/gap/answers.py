@@ -79,6 +79,10 @@ ROW_BY_ROW = 0.05
 """Share of what is new in a command that innovations explain from which on it is set row by row by
 what was measured at its begin: 0.12 to 0.42 of such controllers, up to 0.02 of those at 1 kHz,
 whose rows mostly answer what happens within them."""
+MOST_OF_A_RUN = 2.0
+"""How much of what half of the runs reach, or more, one of them may tell whether commands are held.
+All are of one controller; in one wheels broke loose a moment later than beside a model, and it told
+1,400 the other way."""
 CREEP_RAD_S = 2.0
 """Speed of a shaft below which the sign of its friction is smooth (sim/robot_plant.h)."""
 NOTHING = 1e-12
@@ -196,9 +200,7 @@ def likelier_held(machine: Machine, runs: Sequence[Run], values: Array, noise: N
 
     `runs` are those of commands that move. Infinite where a controller sets them row by row.
     (Likelihood alone does not tell a controller's: the means of the next row, by which a command
-    rises, answer what happened in this one.) All runs are of one controller, so none counts more
-    than twice what half of them reach: in one run wheels broke loose a moment later than beside a
-    model, and it told 1,400 the other way.
+    rises, answer what happened in this one.)
     """
     if machine.kind != "robot":
         return -np.inf
@@ -214,8 +216,9 @@ def likelier_held(machine: Machine, runs: Sequence[Run], values: Array, noise: N
         return np.inf if still_follows else 0.0
     if not still_follows:
         return -np.inf
-    most = 2.0 * np.median(np.abs(still - moved))
-    return float(np.sum(np.clip(still - moved, -most, most)))
+    likelier = still - moved
+    most = MOST_OF_A_RUN * np.median(np.abs(likelier))
+    return float(np.sum(np.clip(likelier, -most, most)))
 
 
 def _share_answered(logged: Sequence[tuple[Run, _core.Track]]) -> float:

@@ -172,10 +172,8 @@ def without_repeated(runs: Sequence[Run], impacts: Sequence[Impact]) -> list[Imp
 
 def beside_lost_rows(log: Log, time_s: float) -> bool:
     """Whether rows are missing where a push seems to begin: what was commanded there is unknown."""
-    step_s = np.diff(log.t_s)
-    row_s = float(np.median(step_s))
-    lost = step_s > (0.5 + LOST_ROWS) * row_s
-    begins, ends = log.t_s[:-1][lost] - row_s, log.t_s[1:][lost] + row_s
+    lost = np.diff(log.t_s) > (0.5 + LOST_ROWS) * log.row_s
+    begins, ends = log.t_s[:-1][lost] - log.row_s, log.t_s[1:][lost] + log.row_s
     return bool(np.any((begins <= time_s) & (time_s <= ends)))
 
 

@@ -139,11 +139,10 @@ def _told(log: Log, what: str, times_s: Sequence[float]) -> list[str]:
 def rows_far_apart(logs: Sequence[Log]) -> str | None:
     """Say which log has its rows too far apart, or None. Anything else takes hours on them."""
     for log in logs:
-        row_s = float(np.median(np.diff(log.t_s))) if len(log.t_s) > 1 else 0.0
-        if row_s > MOST_ROW_S:
+        if log.row_s > MOST_ROW_S:
             return (
-                f"the rows of {log.name} are {row_s:g} s apart, at most {MOST_ROW_S:g} s show how "
-                "a machine moves; t_s counts seconds"
+                f"the rows of {log.name} are {log.row_s:g} s apart, at most {MOST_ROW_S:g} s show "
+                "how a machine moves; t_s counts seconds"
             )
     return None
 
@@ -556,7 +555,7 @@ def _speed_per_duty(machine: Machine, log: Log) -> Array:
     values = machine.model.values
     rad = 2 * np.pi / values["encoder.counts_per_rev"]
     no_load = values["motor.supply_v"] / values["motor.back_emf_constant_v_s_rad"]
-    stride = max(1, round(WINDOW_S / float(np.median(np.diff(log.t_s)))))
+    stride = max(1, round(WINDOW_S / log.row_s))
     edges = np.arange(0, len(log.t_s), stride)
     found = []
     for wheel in range(1, 5):

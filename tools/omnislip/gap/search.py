@@ -861,11 +861,8 @@ class _Ahead:
         1.25 rows): what ends nearer than the first of these sizes is none of them.
         """
         delay = candidate.effect == DELAY
-        parameter, current, runs = (
-            candidate.parameters[0],
-            self._current.hypothesis,
-            self._data.runs,
-        )
+        current, runs = self._current.hypothesis, self._data.runs
+        parameter = candidate.parameters[0]
         unit = max(run.row_s for run in runs) if delay else parameter.scale
         sizes = FAR_DELAYS_ROWS if delay else FAR_PLAYS
         nearest, most = sizes[0], parameter.high / unit
@@ -887,7 +884,9 @@ class _Ahead:
             return None
         for share in FAR_STEPS:
             step = share * (1.0 if delay else best * (PLAY_STEP - 1.0))
-            best, _ = likeliest((best - step, best, best + step), runs)
+            beside, its = likeliest((best - step, best + step), runs)
+            if its > likelihood:
+                best, likelihood = beside, its
         if best < nearest:
             return None
         first = self._by_its_noise(candidate, current.with_effect(candidate, [best * unit]))
