@@ -687,6 +687,8 @@ void bind_replay(nb::module_ &m) {
              "would have let currents of these squares (rows, motors) through.");
     nb::class_<Track>(m, "Track", "Arrays are flat, row major: see replay.h for their layout.")
         .def_ro("log_likelihood", &Track::log_likelihood)
+        .def_ro("filter_states", &Track::filter_states,
+                "Those of the plant, memory that the filter corrects, disturbances.")
         .def_prop_ro("state", [](const Track &t) { return copy_to_numpy(t.state); })
         .def_prop_ro("innovation", [](const Track &t) { return copy_to_numpy(t.innovation); })
         .def_prop_ro("whitening", [](const Track &t) { return copy_to_numpy(t.whitening); })
@@ -703,9 +705,7 @@ void bind_replay(nb::module_ &m) {
         .def_prop_ro("states", [](const Engine &e) { return e.kernel().states(); })
         .def_prop_ro(
             "pushes", [](const Engine &e) { return e.kernel().pushes(); },
-            "Disturbances: states of the filter behind those of the plant.")
-        .def_prop_ro("filter_states",
-                     [](const Engine &e) { return e.kernel().states() + e.kernel().pushes(); })
+            "Disturbances: the last states of the filter.")
         .def_prop_ro("outputs", [](const Engine &e) { return e.kernel().outputs(); })
         .def_prop_ro("motors", [](const Engine &e) { return e.kernel().motors(); })
         .def_prop_ro("parameters", [](const Engine &e) { return e.kernel().parameters(); })

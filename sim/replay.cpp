@@ -5,6 +5,7 @@
 #include <atomic>
 #include <cmath>
 #include <functional>
+#include <numeric>
 #include <stdexcept>
 #include <thread>
 
@@ -125,10 +126,13 @@ void for_each_group(const Kernel &kernel, int recordings, const ParameterSets &s
 
 Track track(const Kernel &kernel, const Recording &recording, const double *values,
             const Noise &noise, double step_s, double window_s, bool keep_linear) {
-    const int n = kernel.states(), m = kernel.outputs(), q = kernel.pushes(), all = n + q;
     const std::size_t rows = static_cast<std::size_t>(recording.rows);
     const std::shared_ptr<const void> loaded = kernel.load(values);
     Track result;
+    result.memory = kernel.filtered_memory(loaded.get());
+    const int of_plant = kernel.states(), remembered = static_cast<int>(result.memory.size());
+    const int n = of_plant + remembered, m = kernel.outputs(), q = kernel.pushes(), all = n + q;
+    result.filter_states = all;
     result.gain.assign(rows * all * m, 0.0);
     result.whitening.assign(rows * m * m, 0.0);
     result.state.assign(rows * all, 0.0);
@@ -141,29 +145,38 @@ Track track(const Kernel &kernel, const Recording &recording, const double *valu
         result.transition.assign(rows * all * all, 0.0);
         result.slope.assign(rows * m * all, 0.0);
     }
-    const Eigen::Map<const Vector> process(noise.process.data(), n);
+    Vector process = Vector::Zero(n), initial(n);
+    std::copy(noise.process.begin(), noise.process.end(), process.data());
+    std::copy(noise.initial.begin(), noise.initial.end(), initial.data());
+    std::vector<int> place(static_cast<std::size_t>(n)); /* of what the filter moves, in x */
+    std::iota(place.begin(), place.end(), 0);
+    for (int i = 0; i < remembered; ++i) {
+        const FilteredMemory &one = result.memory[static_cast<std::size_t>(i)];
+        place[static_cast<std::size_t>(of_plant + i)] = one.place;
+        initial[of_plant + i] = one.variance;
+    }
     Vector lasting = Vector::Zero(q);
     std::copy(noise.coloured.begin(), noise.coloured.end(), lasting.data());
     const int motors = kernel.motors();
     Vector variance = Eigen::Map<const Vector>(noise.output.data(), m);
     Vector x = Vector::Zero(kernel.states_and_memory()), next(x.size());
-    x.head(n) = Eigen::Map<const Vector>(recording.initial_state.data(), n);
+    x.head(of_plant) = Eigen::Map<const Vector>(recording.initial_state.data(), of_plant);
     kernel.settle(loaded.get(), recording, x.data());
     Vector estimate = Vector::Zero(all), grown(all);
-    estimate.head(n) = x.head(n);
+    estimate.head(n) = x(place);
     Matrix p = Matrix::Zero(all, all);
-    p.diagonal().head(n) = Eigen::Map<const Vector>(noise.initial.data(), n);
+    p.diagonal().head(n) = initial;
     p.diagonal().tail(q) = lasting;
     Matrix free = p; /* covariance of a replay that runs since its last restart */
     double restart_s = recording.time_s[0] + recording.settle_s;
-    Matrix of_plant(n, n), shown(m, n), push(n, q);
+    Matrix moves(n, n), shown(m, n), push(n, q);
     Matrix transition = Matrix::Zero(all, all), slope = Matrix::Zero(m, all);
     Vector predicted(m), mistiming = Vector::Zero(m);
     const RowUpdate update(all, m);
     std::vector<double> gone(kernel.shows_late(loaded.get()) ? 3 * rows : 0, 0.0);
     for (std::size_t k = 0; k < rows; ++k) {
         const double *measured = &recording.output[k * m];
-        kernel.linearise_output(loaded.get(), recording, static_cast<int>(k),
+        kernel.linearise_output(loaded.get(), recording, static_cast<int>(k), result.memory,
                                 gone.empty() ? nullptr : gone.data(), x.data(), predicted.data(),
                                 shown.data());
         slope.leftCols(n) = shown;
@@ -184,7 +197,7 @@ Track track(const Kernel &kernel, const Recording &recording, const double *valu
                    estimate, p, &result.gain[k * all * m], &result.whitening[k * m * m],
                    &result.correction_variance[k * all]);
         std::copy_n(estimate.data(), all, &result.state[k * all]);
-        x.head(n) = estimate.head(n);
+        x(place) = estimate.head(n);
         if (recording.time_s[k] >= restart_s) {
             free = p; /* it starts where the filter is, but follows no disturbance */
             free.rightCols(q).setZero();
@@ -195,25 +208,25 @@ Track track(const Kernel &kernel, const Recording &recording, const double *valu
         if (k + 1 == rows)
             break;
         const double duration_s = recording.time_s[k + 1] - recording.time_s[k];
-        kernel.linearise(loaded.get(), recording, static_cast<int>(k), step_s, x.data(),
-                         next.data(), of_plant.data());
+        kernel.linearise(loaded.get(), recording, static_cast<int>(k), step_s, result.memory,
+                         x.data(), next.data(), moves.data());
         for (int c = 0; c < q; ++c) {
             const int pushed = kernel.pushed_states()[c];
-            push.col(c) = 0.5 * duration_s * of_plant.col(pushed);
+            push.col(c) = 0.5 * duration_s * moves.col(pushed);
             push(pushed, c) += 0.5 * duration_s;
         }
         const double decay = std::exp(-duration_s * noise.colour_rate_1_s);
-        transition.topLeftCorner(n, n) = of_plant;
+        transition.topLeftCorner(n, n) = moves;
         transition.topRightCorner(n, q) = push;
         transition.bottomRightCorner(q, q).diagonal().setConstant(decay);
-        next.head(n) += push * estimate.tail(q);
-        mistiming = shown * (next - x).head(n) * (std::sqrt(noise.timing_s2) / duration_s);
+        next(place) += push * estimate.tail(q);
+        mistiming = shown * (next - x)(place) * (std::sqrt(noise.timing_s2) / duration_s);
         for (std::size_t c = 0; c < 3 && !gone.empty(); ++c) {
             const long place = RobotLayout::kPose + static_cast<long>(c);
             gone[3 * (k + 1) + c] = gone[3 * k + c] + (next[place] - x[place]);
         }
         x = next;
-        estimate.head(n) = x.head(n);
+        estimate.head(n) = x(place);
         estimate.tail(q) *= decay;
         std::copy(push.data(), push.data() + n * q, &result.push[k * n * q]);
         result.decay[k] = decay;

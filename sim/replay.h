@@ -23,7 +23,10 @@
  * disturbance d_i of each pushed state's rate, of first order: d_(k+1) = exp(-rate T) d_k + noise.
  * Over a row it moves the state by push_k d_k, push_k = T / 2 (1 + transition_k) of those states.
  *
- * A model with memory (memory.h) carries it from row to row; the filter corrects the states only.
+ * A model with memory (memory.h) carries it from row to row. What bristles hold pulls at wheels and
+ * body for longer than a row and depends on how they moved: there the filter corrects the memory as
+ * well, else its corrections of speeds shake what it does not see. The state of the filter is the
+ * plant's, such memory, and the disturbances.
  *
  * Parameter sets (noises) run in SIMD lanes and on all cores. Layouts are row major:
  * command [row][motor], output [row][output], gain [row][filter state][output],
@@ -75,16 +78,24 @@ struct Noise {
     double colour_rate_1_s = 100.0;
 };
 
+/* Memory that the filter corrects: its place behind the states, and its variance at first. */
+struct FilteredMemory {
+    int place;
+    double variance;
+};
+
 struct Track {
+    int filter_states = 0;
+    std::vector<FilteredMemory> memory;
     std::vector<double> gain, whitening;
     std::vector<double> state;               /* [row][filter state] after the measurements */
     std::vector<double> innovation;          /* [row][output], NaN where not sampled */
     std::vector<double> correction_variance; /* [row][filter state], of gain * innovation */
     std::vector<double> replay_variance;     /* [row][output] expected of a replay's error */
-    std::vector<double> push;                /* [row][state][disturbance] to the next row */
-    std::vector<double> decay;               /* [row] of the disturbances to the next row */
-    std::vector<double> transition;          /* [row][filter state][filter state], if kept */
-    std::vector<double> slope;               /* [row][output][filter state], if kept */
+    std::vector<double> push;       /* [row][state or memory][disturbance] to the next row */
+    std::vector<double> decay;      /* [row] of the disturbances to the next row */
+    std::vector<double> transition; /* [row][filter state][filter state], if kept */
+    std::vector<double> slope;      /* [row][output][filter state], if kept */
     double log_likelihood = 0.0;
 };
 
@@ -105,7 +116,8 @@ class Kernel {
     virtual int lanes() const = 0;
     virtual int states() const = 0;
     virtual int states_and_memory() const = 0;
-    /* States whose rate is disturbed, and their numbers. The filter has states() + pushes(). */
+    /* States whose rate is disturbed, and their numbers. The filter has states(), the memory that
+     * it corrects, and pushes(). */
     virtual int pushes() const = 0;
     virtual const int *pushed_states() const = 0;
     virtual int outputs() const = 0;
@@ -120,17 +132,21 @@ class Kernel {
     virtual std::shared_ptr<const void> load(const double *values) const = 0;
     /* Fills the memory behind the states: as if the first row had lasted for long. */
     virtual void settle(const void *loaded, const Recording &recording, double *state) const = 0;
-    /* From row `row` to the next: next [states_and_memory], transition [states][states]. */
+    /* The memory that the filter corrects. */
+    virtual std::vector<FilteredMemory> filtered_memory(const void *loaded) const = 0;
+    /* From row `row` to the next: next [states_and_memory], transition [moved][moved], where states
+     * and the `memory` are moved. */
     virtual void linearise(const void *loaded, const Recording &recording, int row, double step_s,
-                           const double *state, double *next, double *transition) const = 0;
+                           const std::vector<FilteredMemory> &memory, const double *state,
+                           double *next, double *transition) const = 0;
     /* Whether the camera shows the pose of another moment than the row's: then the way gone up to
      * each row is wanted. */
     virtual bool shows_late(const void *loaded) const = 0;
-    /* In row `row`, state [states_and_memory]: output [outputs], slope [outputs][states]. `gone`
+    /* In row `row`, state [states_and_memory]: output [outputs], slope [outputs][moved]. `gone`
      * [row][3]: the way of a robot up to each row (memory.h), or null. */
     virtual void linearise_output(const void *loaded, const Recording &recording, int row,
-                                  const double *gone, const double *state, double *output,
-                                  double *slope) const = 0;
+                                  const std::vector<FilteredMemory> &memory, const double *gone,
+                                  const double *state, double *output, double *slope) const = 0;
     /* Derivatives of the states of one set at many points: states [points][states], commands
      * [points][motors], derivative [points][states]; time 0, memory settled. */
     virtual void derivatives(const void *loaded, int points, const double *states,

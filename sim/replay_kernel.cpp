@@ -7,6 +7,7 @@
  */
 #include <algorithm>
 #include <new>
+#include <numeric>
 
 #include "axis_plant.h"
 #include "integrator.h"
@@ -42,7 +43,6 @@ class KernelOf final : public Kernel {
     /* A robot's shafts and its body are disturbed. */
     static constexpr int kPushed[] = {0, 1, 2, 3, 8, 9, 10};
     static constexpr int kPushes = Plant::kKind == kRobot ? 7 : 0;
-    static constexpr int kFilter = kStates + kPushes;
 
     /* A plant whose lanes hold the sets `values[0..count-1]` (the last one repeated). */
     struct Loaded {
@@ -72,25 +72,40 @@ class KernelOf final : public Kernel {
 
     /* State x [kAll] and disturbances of the filter in row k. */
     static void correct(const Track &track, long k, const S *innovation, S *x, S *disturbance) {
-        const double *gain = &track.gain[k * kFilter * kOutputs];
-        for (int i = 0; i < kFilter; ++i) {
-            S change = S(gain[i * kOutputs]) * innovation[0];
-            for (int j = 1; j < kOutputs; ++j) {
-                change = change + S(gain[i * kOutputs + j]) * innovation[j];
-            }
-            S &corrected = i < kStates ? x[i] : disturbance[i - kStates];
+        const double *gain = &track.gain[k * (moved_states(track) + kPushes) * kOutputs];
+        const auto by_gain = [&](S &corrected) {
+            S change = S(gain[0]) * innovation[0];
+            for (int j = 1; j < kOutputs; ++j)
+                change = change + S(gain[j]) * innovation[j];
             corrected = corrected + change;
-        }
+            gain += kOutputs;
+        };
+        for (int i = 0; i < kStates; ++i)
+            by_gain(x[i]);
+        for (const FilteredMemory &one : track.memory)
+            by_gain(x[one.place]);
+        for (int c = 0; c < kPushes; ++c)
+            by_gain(disturbance[c]);
+    }
+
+    /* States and filtered memory. */
+    static int moved_states(const Track &track) {
+        return kStates + static_cast<int>(track.memory.size());
     }
 
     /* What the disturbances add to the state x [kAll] from row k to the next. */
     static void disturb(const Track &track, long k, S *x, S *disturbance) {
         if constexpr (kPushes > 0) {
-            const double *push = &track.push[k * kStates * kPushes];
-            for (int i = 0; i < kStates; ++i) {
+            const double *push = &track.push[k * moved_states(track) * kPushes];
+            const auto by_push = [&](S &pushed) {
                 for (int c = 0; c < kPushes; ++c)
-                    x[i] = x[i] + S(push[i * kPushes + c]) * disturbance[c];
-            }
+                    pushed = pushed + S(push[c]) * disturbance[c];
+                push += kPushes;
+            };
+            for (int i = 0; i < kStates; ++i)
+                by_push(x[i]);
+            for (const FilteredMemory &one : track.memory)
+                by_push(x[one.place]);
             for (int c = 0; c < kPushes; ++c)
                 disturbance[c] = disturbance[c] * S(track.decay[k]);
         }
@@ -294,22 +309,33 @@ class KernelOf final : public Kernel {
             state[i] = lane(x[i], 0);
     }
 
+    std::vector<FilteredMemory> filtered_memory(const void *loaded_set) const override {
+        const Plant &plant = static_cast<const Loaded *>(loaded_set)->plant;
+        std::vector<FilteredMemory> memory;
+        if constexpr (Plant::kKind == kRobot) {
+            for (int i = 0; plant.has_bristles() && i < kMotors; ++i)
+                memory.push_back({Plant::kGrip + i, kGripVariance});
+        }
+        return memory;
+    }
+
     void linearise(const void *loaded_set, const Recording &recording, int row, double step_s,
-                   const double *state, double *next, double *transition) const override {
+                   const std::vector<FilteredMemory> &memory, const double *state, double *next,
+                   double *transition) const override {
         const Loaded &loaded = *static_cast<const Loaded *>(loaded_set);
-        const double probe = 1e-5;
+        const std::vector<int> moved = places_of_moved(memory);
+        const int n = static_cast<int>(moved.size());
         Internals in;
-        for (int first = 0; first < kStates; first += kLanes - 1) {
+        for (int first = 0; first < n; first += kLanes - 1) {
             S x[kAll];
-            seed(state, first, probe, x);
-            broadcast(state + kStates, x + kStates, kAll - kStates);
+            seed(state, moved, first, x);
             advance_row(loaded, recording, row, step_s, x, in);
-            for (int i = kStates; i < kAll; ++i)
+            for (int i = 0; i < kAll; ++i)
                 next[i] = lane(x[i], 0);
-            for (int i = 0; i < kStates; ++i) {
-                next[i] = lane(x[i], 0);
-                for (int j = first; j < kStates && j < first + kLanes - 1; ++j) {
-                    transition[i * kStates + j] = (lane(x[i], j - first + 1) - next[i]) / probe;
+            for (int i = 0; i < n; ++i) {
+                for (int j = first; j < n && j < first + kLanes - 1; ++j) {
+                    const double there = lane(x[moved[i]], j - first + 1);
+                    transition[i * n + j] = (there - next[moved[i]]) / kProbe;
                 }
             }
         }
@@ -320,19 +346,19 @@ class KernelOf final : public Kernel {
     }
 
     void linearise_output(const void *loaded_set, const Recording &recording, int row,
-                          const double *gone, const double *state, double *output,
-                          double *slope) const override {
+                          const std::vector<FilteredMemory> &memory, const double *gone,
+                          const double *state, double *output, double *slope) const override {
         const Loaded &loaded = *static_cast<const Loaded *>(loaded_set);
-        const double probe = 1e-5;
-        for (int first = 0; first < kStates; first += kLanes - 1) {
+        const std::vector<int> moved = places_of_moved(memory);
+        const int n = static_cast<int>(moved.size());
+        for (int first = 0; first < n; first += kLanes - 1) {
             S x[kAll], y[kOutputs];
-            seed(state, first, probe, x);
-            broadcast(state + kStates, x + kStates, kAll - kStates);
+            seed(state, moved, first, x);
             observe(loaded.plant, recording, row, x, nullptr, y);
             for (int i = 0; i < kOutputs; ++i) {
                 output[i] = lane(y[i], 0);
-                for (int j = first; j < kStates && j < first + kLanes - 1; ++j) {
-                    slope[i * kStates + j] = (lane(y[i], j - first + 1) - output[i]) / probe;
+                for (int j = first; j < n && j < first + kLanes - 1; ++j) {
+                    slope[i * n + j] = (lane(y[i], j - first + 1) - output[i]) / kProbe;
                 }
             }
         }
@@ -436,6 +462,17 @@ class KernelOf final : public Kernel {
 
     void likelihoods(const Recording &recording, const Track &track, const Noise *noises, int count,
                      double *log_likelihood, double *covariance) const override {
+        if (track.memory.empty())
+            likelihoods_with<0>(recording, track, noises, count, log_likelihood, covariance);
+        else
+            likelihoods_with<kMotors>(recording, track, noises, count, log_likelihood, covariance);
+    }
+
+  private:
+    template <int kMemory>
+    void likelihoods_with(const Recording &recording, const Track &track, const Noise *noises,
+                          int count, double *log_likelihood, double *covariance) const {
+        constexpr int kMoved = kStates + kMemory, kFilter = kMoved + kPushes;
         const auto of_each = [&](auto &&number) {
             return from_lanes<S>([&](int i) { return number(noises[i < count ? i : count - 1]); });
         };
@@ -454,9 +491,11 @@ class KernelOf final : public Kernel {
             process[i] = of_each([i](const Noise &n) { return n.process[i]; });
             p[i][i] = of_each([i](const Noise &n) { return n.initial[i]; });
         }
+        for (int i = 0; i < kMemory; ++i)
+            p[kStates + i][kStates + i] = S(track.memory[i].variance);
         for (int c = 0; c < kPushes; ++c) {
             lasting[c] = of_each([c](const Noise &n) { return n.coloured[c]; });
-            p[kStates + c][kStates + c] = lasting[c];
+            p[kMoved + c][kMoved + c] = lasting[c];
         }
         for (int j = 0; j < kOutputs; ++j) {
             output[j] = of_each([j](const Noise &n) { return n.output[j]; });
@@ -471,25 +510,25 @@ class KernelOf final : public Kernel {
                 const double change = change_into(recording, kMotors, k, i);
                 variance[kOutputs - kMotors + i] += S(0.25 * change * change) * unresolved_current;
             }
-            update(track, k, slope, variance, late, p, apart, total, count,
-                   covariance + k * kOutputs * kOutputs, plane);
+            update<kFilter>(track, k, slope, variance, late, p, apart, total, count,
+                            covariance + k * kOutputs * kOutputs, plane);
             if (k + 1 == recording.rows)
                 break;
             const double duration_s = recording.time_s[k + 1] - recording.time_s[k];
-            double moved[kStates];
-            moved_by(track, k, moved);
+            double moved[kMoved];
+            moved_by<kFilter>(track, k, moved);
             for (int j = 0; j < kOutputs; ++j) {
                 double way = 0.0;
-                for (int i = 0; i < kStates; ++i)
+                for (int i = 0; i < kMoved; ++i)
                     way += slope[j * kFilter + i] * moved[i];
                 late[j] = S(way / duration_s) * lateness_s;
             }
             const S decay = exp(S(-duration_s) * colour_rate_1_s);
-            carry(track, k, decay, p, apart);
+            carry<kFilter>(track, k, decay, p, apart);
             for (int i = 0; i < kStates; ++i)
                 p[i][i] += process[i] * S(duration_s);
             for (int c = 0; c < kPushes; ++c)
-                p[kStates + c][kStates + c] += (S(1.0) - decay * decay) * lasting[c];
+                p[kMoved + c][kMoved + c] += (S(1.0) - decay * decay) * lasting[c];
             const double way = duration_s * duration_s / 12.0;
             for (int i = 0; i < kMotors && kMotors + i < kStates; ++i) {
                 p[kMotors + i][kMotors + i] +=
@@ -500,9 +539,9 @@ class KernelOf final : public Kernel {
             log_likelihood[i] += lane(total, i);
     }
 
-  private:
     /* One row of the filter of `likelihoods`. With S = L L', white = e / L and G = P H' / L':
      * K e = G white and P falls by G G'. */
+    template <int kFilter>
     static void update(const Track &track, int k, const double *slope, const S *variance,
                        const S *late, S (&p)[kFilter][kFilter], S *apart, S &total, int count,
                        double *covariance, long plane) {
@@ -571,9 +610,10 @@ class KernelOf final : public Kernel {
     }
 
     /* What the track's state moved by from row k to the next, before the measurements there. */
+    template <int kFilter>
     static void moved_by(const Track &track, int k, double *moved) {
         const double *shown = &track.innovation[(k + 1) * kOutputs];
-        for (int i = 0; i < kStates; ++i) {
+        for (int i = 0; i < kFilter - kPushes; ++i) {
             moved[i] = track.state[(k + 1) * kFilter + i] - track.state[k * kFilter + i];
             for (int j = 0; j < kOutputs; ++j) {
                 if (shown[j] == shown[j])
@@ -584,11 +624,13 @@ class KernelOf final : public Kernel {
 
     /* apart -> F apart, P -> F P F'. F of the plant's states is the track's, with many zeros; the
      * disturbances decay, the track's own at another rate. */
+    template <int kFilter>
     static void carry(const Track &track, int k, const S &decay, S (&p)[kFilter][kFilter],
                       S *apart) {
+        constexpr int kMoved = kFilter - kPushes;
         const double *transition = &track.transition[k * kFilter * kFilter];
-        S half[kStates][kFilter], moved[kStates];
-        for (int i = 0; i < kStates; ++i) {
+        S half[kMoved][kFilter], moved[kMoved];
+        for (int i = 0; i < kMoved; ++i) {
             moved[i] = S(0.0);
             std::fill_n(half[i], kFilter, S(0.0));
             for (int l = 0; l < kFilter; ++l) {
@@ -600,38 +642,53 @@ class KernelOf final : public Kernel {
                     half[i][j] += S(f) * p[l][j];
             }
         }
-        std::copy_n(moved, kStates, apart);
-        for (int j = 0; j < kStates; ++j) {
-            S column[kStates];
-            std::fill_n(column, kStates, S(0.0));
+        std::copy_n(moved, kMoved, apart);
+        for (int j = 0; j < kMoved; ++j) {
+            S column[kMoved];
+            std::fill_n(column, kMoved, S(0.0));
             for (int l = 0; l < kFilter; ++l) {
                 const double f = transition[j * kFilter + l];
                 if (f == 0.0)
                     continue;
-                for (int i = j; i < kStates; ++i)
+                for (int i = j; i < kMoved; ++i)
                     column[i] += S(f) * half[i][l];
             }
-            for (int i = j; i < kStates; ++i)
+            for (int i = j; i < kMoved; ++i)
                 p[i][j] = p[j][i] = column[i];
         }
-        for (int c = kStates; c < kFilter; ++c) {
+        for (int c = kMoved; c < kFilter; ++c) {
             const double own = track.state[k * kFilter + c];
             apart[c] = decay * (apart[c] + S(own)) - S(track.decay[k] * own);
-            for (int i = 0; i < kStates; ++i)
+            for (int i = 0; i < kMoved; ++i)
                 p[i][c] = p[c][i] = half[i][c] * decay;
-            for (int j = kStates; j < kFilter; ++j)
+            for (int j = kMoved; j < kFilter; ++j)
                 p[c][j] = p[c][j] * decay * decay;
         }
     }
 
-    /* Lane 0 holds the state, lane j + 1 the state with component first + j moved by `probe`. */
-    static void seed(const double *state, int first, double probe, S *x) {
+    static constexpr double kProbe = 1e-5;
+    /* Nobody knows how strained bristles are after the last stop: a fifth of the grip. */
+    static constexpr double kGripVariance = 0.04;
+
+    static std::vector<int> places_of_moved(const std::vector<FilteredMemory> &memory) {
+        std::vector<int> places(kStates);
+        std::iota(places.begin(), places.end(), 0);
+        for (const FilteredMemory &one : memory)
+            places.push_back(one.place);
+        return places;
+    }
+
+    /* Lane 0 of x [kAll] holds the state, lane j + 1 that with component moved[first + j] off by
+     * the probe. */
+    static void seed(const double *state, const std::vector<int> &moved, int first, S *x) {
+        broadcast(state, x, kAll);
+        const int n = static_cast<int>(moved.size());
         alignas(64) double spread[kLanes];
-        for (int i = 0; i < kStates; ++i) {
-            for (int j = 0; j < kLanes; ++j) {
-                spread[j] = state[i] + (j > 0 && first + j - 1 == i ? probe : 0.0);
-            }
-            x[i] = S::load_aligned(spread);
+        for (int j = 1; j < kLanes && first + j - 1 < n; ++j) {
+            const int place = moved[first + j - 1];
+            std::fill_n(spread, kLanes, state[place]);
+            spread[j] += kProbe;
+            x[place] = S::load_aligned(spread);
         }
     }
 };

@@ -258,6 +258,9 @@ class RobotPlant : public RobotLayout {
     bool delays() const {
         return delays_;
     }
+    bool has_bristles() const {
+        return bristles_;
+    }
     /* Whether the camera shows the pose of another moment than the row's, and how late. */
     bool shows_late() const {
         return shows_late_;

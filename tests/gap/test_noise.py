@@ -25,7 +25,8 @@ from omnislip.gap.noise import (
 )
 from omnislip.gap.search import believed_hypothesis
 from omnislip.gap.truth import TruthCase
-from omnislip.model_file import NOMINAL_ROBOT, read_model
+from omnislip.gap.truth_effects import HiddenEffect
+from omnislip.model_file import NOMINAL_ROBOT, Effect, read_model, write_model
 from truth_bench import runs_of
 
 NAMES = ("process", "output", "initial", "timing_s2", "unresolved", "unresolved_current")
@@ -71,12 +72,24 @@ def robot():
 
 
 @pytest.fixture(scope="module")
+def bristled(tmp_path_factory):
+    """A robot whose filter corrects memory, too."""
+    path = tmp_path_factory.mktemp("bristled") / "robot.toml"
+    bristles = {"length_m": 2e-3}
+    model = read_model(NOMINAL_ROBOT)
+    write_model(replace(model, effects=[Effect("bristle_relaxation", bristles)]), path)
+    machine = Machine(read_model(path))
+    hidden = HiddenEffect("bristle_relaxation", bristles).as_dict()
+    return Tracked(machine, runs_of(machine, TruthCase(5, (hidden,), runs=2, run_duration_s=2.0)))
+
+
+@pytest.fixture(scope="module")
 def axis(tmp_path_factory):
     machine = make_machine(tmp_path_factory.mktemp("axis"))
     return Tracked(machine, make_runs(machine, Bench(), range(2)))
 
 
-@pytest.fixture(params=["robot", "axis"])
+@pytest.fixture(params=["robot", "bristled", "axis"])
 def bench(request):
     return request.getfixturevalue(request.param)
 
@@ -160,6 +173,23 @@ def test_tracks_without_matrices_or_of_other_recordings_are_refused(robot):
         engine.likelihoods(robot.recordings, robot.tracks[:1], **right)
 
 
+@pytest.mark.parametrize("length_m", [0.9e-3, 5e-3])
+def test_bristles_are_likelier_even_by_noise_that_knows_none(length_m):
+    """A filter that corrects speeds alone shakes wheels and body against each other there."""
+    machine = Machine(read_model(NOMINAL_ROBOT))
+    hidden = HiddenEffect("bristle_relaxation", {"length_m": length_m}).as_dict()
+    case = TruthCase(3, (hidden,), runs=2, run_duration_s=3.0, base_offset_sd=0.0)
+    runs = runs_of(machine, case)
+    noise = tune_noise(machine, runs, machine.believed)
+    [bristles] = [c for c in machine.candidates() if c.effect == "bristle_relaxation"]
+    none = believed_hypothesis(machine)
+    without, true = (
+        sum(t.log_likelihood for t in track_all(machine, runs, h.flat(machine.believed), noise))
+        for h in (none, none.with_effect(bristles, [length_m, 0.0]))
+    )
+    assert true > without + 500.0
+
+
 # ---- disturbances that last ----
 
 PUSHED = [0, 1, 2, 3, 8, 9, 10]
@@ -178,7 +208,7 @@ def test_disturbances_without_variance_change_nothing(robot):
     for one, other in zip(with_none, with_zero, strict=True):
         np.testing.assert_array_equal(one.gain, other.gain)
         assert one.log_likelihood == other.log_likelihood
-        gain = other.gain.reshape(-1, engine.filter_states, engine.outputs)
+        gain = other.gain.reshape(-1, other.filter_states, engine.outputs)
         assert gain[:, : engine.states].any()
         assert not gain[:, engine.states :].any()
 
@@ -187,7 +217,8 @@ def test_disturbances_push_the_rates_of_shafts_and_body(robot):
     """Over a row of length T the trapezoid of the pushed state's own motion, then a decay."""
     engine, run = robot.machine.engine, robot.runs[0]
     n = engine.states
-    transition = robot.tracks[0].transition.reshape(len(run.t_s), engine.filter_states, -1)[:-1]
+    track = robot.tracks[0]
+    transition = track.transition.reshape(len(run.t_s), track.filter_states, -1)[:-1]
     half = 0.5 * np.diff(run.t_s)[:, None, None]
     expected = half * (transition[:, :n, :n] + np.eye(n))[:, :, PUSHED]
     np.testing.assert_allclose(transition[:, :n, n:], expected, rtol=1e-12, atol=1e-18)

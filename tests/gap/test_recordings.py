@@ -69,7 +69,7 @@ def initial_state(run):
     """State of the filter's first row, before it has corrected anything."""
     certain = Noise(np.zeros(14), np.ones(8), np.zeros(14), 0.0, 0.0, np.zeros(8))
     [track] = track_all(ROBOT, [run], ROBOT.believed, certain)
-    return track.state.reshape(-1, ROBOT.engine.filter_states)[0, :14]
+    return track.state.reshape(-1, track.filter_states)[0, :14]
 
 
 def test_channels_have_units_of_the_engine_and_scales_back_to_the_log():

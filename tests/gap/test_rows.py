@@ -79,7 +79,7 @@ def test_what_a_sensor_shows_besides_is_answered_as_the_filter_does(electric, ou
         for recording in (plain, changed)
     )
     expected = (after - before) / size
-    push = np.zeros((len(run.t_s), engine.filter_states, 1))
+    push = np.zeros((len(run.t_s), tracks[0].filter_states, 1))
     found = whitened_response(machine, run, tracks[0], push, shown)[:, :, 0]
     np.testing.assert_allclose(found, expected, atol=1e-3 * np.abs(expected).max())
 
@@ -88,7 +88,7 @@ def test_what_a_sensor_shows_besides_is_answered_as_the_filter_does(electric, ou
 def test_a_push_of_the_model_is_as_outputs_that_it_would_have_moved_the_other_way(electric, state):
     """The way without a filter: s_(k+1) = F (s_k + u dt / 2) + u dt / 2, outputs H s."""
     machine, run, track = electric.machine, electric.runs[0], electric.tracks[0]
-    n, rows = machine.engine.filter_states, len(run.t_s)
+    n, rows = track.filter_states, len(run.t_s)
     push = np.zeros((rows, n, 1))
     push[:, state, 0] = np.random.default_rng(3).standard_normal(rows)
     moved = np.zeros((rows, n))

@@ -333,6 +333,22 @@ def test_play_is_found_where_less_play_explains_less_than_none(tmp_path, angle_r
         assert ahead.trials == []
 
 
+@pytest.mark.parametrize("length_m", [0.9e-3, 4e-3, 0.0])
+def test_bristles_are_found_along_their_own_filter(tmp_path, length_m):
+    """That of rigid contact takes what they hold for pushes; where none are, none are found."""
+    hidden = (HiddenEffect("bristle_relaxation", {"length_m": length_m}),) if length_m else ()
+    effects = tuple(effect.as_dict() for effect in hidden)
+    robot, runs, candidates = robot_runs(TruthCase(seed=21007, effects=effects, runs=2), tmp_path)
+    data, current = settle(robot, runs, believed_hypothesis(robot))
+    ahead = search_module._Ahead(data, current, robot.candidates(), 1, 100, silent)
+    further = ahead.far(candidates["bristle_relaxation"], None)
+    if length_m:
+        assert further.fitted.hypothesis.values_of(0)[0] == pytest.approx(length_m, rel=0.03)
+    else:
+        assert further is None
+        assert ahead.trials == []
+
+
 def test_answers_within_a_row_are_no_delay_of_some_rows(tmp_path):
     """A likelihood that takes the commands as given prefers those of the row before."""
     case = TruthCase(seed=86, closed_loop=True, excitation="ordinary", runs=2, noise_level=3.0)

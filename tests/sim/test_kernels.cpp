@@ -5,6 +5,7 @@
  * does not cut it finer, so every kernel takes the same steps and only rounding may differ.
  */
 #include <memory>
+#include <numeric>
 
 #include "replay.h"
 #include "robot_motion.h"
@@ -250,34 +251,55 @@ static void kernel_describes_the_plant(void) {
 }
 
 /* Transition over a row against central differences of the scalar plant. */
-static void linearised_row_is_the_slope_of_the_plant(void) {
+static void rows_slope_is_the_plants(const RobotModel &model, std::size_t remembered) {
     const std::unique_ptr<Kernel> kernel = make_kernel(0, 8);
-    const RobotModel model = RobotModel().effect("coulomb_friction", "torque_nm", 0.005);
-    const Robot::State start = {120.0, -80.0, 60.0, -30.0, 1.0, 2.0, 3.0,
-                                4.0,   0.7,   -0.3, 1.2,   0.5, 0.6, 0.7};
+    const std::shared_ptr<const void> loaded = kernel->load(model.flat.data());
+    const std::vector<FilteredMemory> memory = kernel->filtered_memory(loaded.get());
+    TEST_ASSERT_EQUAL_size_t(remembered, memory.size());
+    using Whole = std::array<double, RobotLayout::kAll>;
+    Whole start = {120.0, -80.0, 60.0, -30.0, 1.0, 2.0, 3.0, 4.0, 0.7, -0.3, 1.2, 0.5, 0.6, 0.7};
+    std::vector<std::size_t> places(RobotLayout::kStates);
+    std::iota(places.begin(), places.end(), std::size_t{0});
+    for (const FilteredMemory &one : memory) {
+        start[static_cast<std::size_t>(one.place)] = 0.1 * static_cast<double>(places.size() - 16);
+        places.push_back(static_cast<std::size_t>(one.place));
+    }
     const Robot::Command duty = {0.5, -0.2, 0.4, 0.1};
-    const auto reached = [&](std::size_t j, double offset) {
-        Robot robot(model);
-        robot.x = start;
-        robot.x[j] += offset;
-        robot.drive(duty, 0.005, kStep_s);
-        return robot.x;
+    const std::vector<double> begin_s = {0.0};
+    const Robot robot(model);
+    const auto reached = [&](std::size_t place, double offset) {
+        Whole x = start;
+        x[place] += offset;
+        RobotInternals<double> in{};
+        const LoggedCommands<RobotPlant<double>> log(robot.plant, begin_s.data(), duty.data(), 0);
+        advance(robot.plant, x.data(), log, 0.0, 0.005, kStep_s, robot.plant.fastest_rate_1_s(),
+                in);
+        return x;
     };
     Recording row;
     row.time_s = {0.0, 0.005};
     row.command.assign(duty.begin(), duty.end());
-    double state[RobotLayout::kAll] = {}, next[RobotLayout::kAll], transition[14 * 14];
-    std::copy(start.begin(), start.end(), state);
-    kernel->linearise(kernel->load(model.flat.data()).get(), row, 0, kStep_s, state, next,
-                      transition);
-    for (std::size_t j = 0; j < 14; ++j) {
-        const Robot::State up = reached(j, 1e-4), down = reached(j, -1e-4);
-        for (std::size_t i = 0; i < 14; ++i) {
-            const double slope = (up[i] - down[i]) / 2e-4;
+    const std::size_t moved = places.size();
+    Whole next;
+    std::vector<double> transition(moved * moved);
+    kernel->linearise(loaded.get(), row, 0, kStep_s, memory, start.data(), next.data(),
+                      transition.data());
+    for (std::size_t j = 0; j < moved; ++j) {
+        const Whole up = reached(places[j], 1e-4), down = reached(places[j], -1e-4);
+        for (std::size_t i = 0; i < moved; ++i) {
+            const double slope = (up[places[i]] - down[places[i]]) / 2e-4;
             TEST_ASSERT_DOUBLE_WITHIN(1e-3 * (1.0 + std::abs(slope)), slope,
-                                      transition[i * 14 + j]);
+                                      transition[i * moved + j]);
         }
     }
+}
+
+static void linearised_row_is_the_slope_of_the_plant(void) {
+    rows_slope_is_the_plants(RobotModel().effect("coulomb_friction", "torque_nm", 0.005), 0);
+}
+
+static void linearised_row_knows_what_bristles_hold(void) {
+    rows_slope_is_the_plants(RobotModel().effect("bristle_relaxation", "length_m", 2e-3), 4);
 }
 
 int main(void) {
@@ -290,5 +312,6 @@ int main(void) {
     RUN_TEST(step_goes_on_from_a_look_as_from_none);
     RUN_TEST(kernel_describes_the_plant);
     RUN_TEST(linearised_row_is_the_slope_of_the_plant);
+    RUN_TEST(linearised_row_knows_what_bristles_hold);
     return UNITY_END();
 }

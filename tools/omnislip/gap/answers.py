@@ -322,8 +322,7 @@ def _means(values: Array, stride: int) -> Array:
 
 def _driven(machine: Machine, tracks: Sequence[_core.Track]) -> bool:
     """Whether the robot moves in every direction of (x, y, a wheel's way round)."""
-    states = [track.state.reshape(-1, machine.engine.filter_states) for track in tracks]
-    speed = np.concatenate(states)[:, 8:11]
+    speed = np.concatenate([t.state.reshape(-1, t.filter_states)[:, 8:11] for t in tracks])
     speed = speed * [1.0, 1.0, machine.model.values["robot.wheel_distance_m"]]
     least, *_, most = np.linalg.eigvalsh(speed.T @ speed)
     return bool(least >= DRIVEN**2 * most)

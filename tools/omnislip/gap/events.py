@@ -431,7 +431,7 @@ class _Pushes:
     """What pushes before each row of a run would do to its whitened innovations."""
 
     def __init__(self, machine: Machine, run: Run, track: _core.Track) -> None:
-        n, m, rows = machine.engine.filter_states, machine.engine.outputs, len(run.t_s)
+        n, m, rows = track.filter_states, machine.engine.outputs, len(run.t_s)
         sampled = ~np.isnan(run.outputs)
         slope = np.where(sampled[:, :, None], track.slope.reshape(rows, m, n), 0.0)
         gain, whitening = track.gain.reshape(rows, n, m), track.whitening.reshape(rows, m, m)

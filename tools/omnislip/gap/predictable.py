@@ -49,7 +49,7 @@ EQUATIONS = (
     "body/force_y",
     "body/moment",
 )
-DISTURBANCES = slice(14, 21)
+DISTURBANCES = slice(-7, None)
 ROW_S = 0.01
 """Disturbances last some 10 ms: rows nearer than that tell the same."""
 FOLDS = 4

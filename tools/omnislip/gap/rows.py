@@ -107,7 +107,7 @@ def whitened_response(
 
         e_k = -H_k d_k + shown_k,     d_(k+1) = F_k (d_k + K_k e_k + push_k dt / 2) + push_k dt / 2
     """
-    n, m, rows = machine.engine.filter_states, machine.engine.outputs, len(run.t_s)
+    n, m, rows = track.filter_states, machine.engine.outputs, len(run.t_s)
     transition = track.transition.reshape(rows, n, n)
     slope = np.where(np.isnan(run.outputs)[:, :, None], 0.0, track.slope.reshape(rows, m, n))
     gain, whitening = track.gain.reshape(rows, n, m), track.whitening.reshape(rows, m, m)

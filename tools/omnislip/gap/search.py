@@ -124,13 +124,13 @@ CONFIDENCE = 1.959964
 PROFILE_STEPS, PROFILE_BETWEEN = 0.5 ** np.arange(12.0, -1.0, -1.0), 9
 """Where between a value and its last an end of its interval is looked for, and places in the step
 that holds the end."""
-DELAY, PLAY = "actuation_delay", "gear_backlash"
-FAR_DELAYS_ROWS, PLAY_STEP = (1.5, 2.0, 3.0, 4.0, 6.0), 1.35
-FAR_PLAYS = tuple(0.4 * PLAY_STEP**step for step in range(13))
-"""Delays, in rows, and plays, in their scale (4 to 150 mrad of a robot), where no derivative leads:
-of 63 mrad a play of 40 explains less than none."""
+DELAY, FAR_DELAYS_ROWS = "actuation_delay", (1.5, 2.0, 3.0, 4.0, 6.0)
+FAR_SIZES = {"gear_backlash": (0.4, 1.35, 13), "bristle_relaxation": (0.2, 1.6, 9)}
+"""Delays, in rows, and sizes where no derivative leads: the first in its scale, its factor to the
+next and how many (plays of 4 to 150 mrad of a robot, bristles of 0.2 to 9 mm). Of 63 mrad a play of
+40 explains less than none."""
 FAR_STEPS = (0.5, 0.25)
-"""Steps from the best of them, in rows or steps from play to play."""
+"""Steps from the best of them, in rows or steps from size to size."""
 
 
 @dataclass(frozen=True)
@@ -245,8 +245,8 @@ def search(
         found = _try(data, current, worth, step, tried, progress)
         accepted = next((fitted for trial, fitted in found if trial.accepted), None)
         ahead = _Ahead(data, current, candidates, step, tried, progress)
-        # By the filter of a model without it a delay of some rows, or play, may promise nothing.
-        far = [ahead.far(c, accepted) for c in candidates if c.effect in (DELAY, PLAY)]
+        # By the filter of a model without them some effects promise nothing.
+        far = [ahead.far(c, accepted) for c in candidates if c.effect in (DELAY, *FAR_SIZES)]
         further = max(filter(None, far), key=_Further.gain, default=None)
         if further is not None:
             reason = f"explains less than {further.trial.candidate.name} far from none"
@@ -792,8 +792,16 @@ class _Further:
         return self.without.objective - self.fitted.objective
 
 
+@dataclass(frozen=True)
+class _Likely:
+    """Log-likelihood of a model by its own filter."""
+
+    likelihood: float
+    model: Hypothesis
+
+
 class _Ahead:
-    """One step further, where none was taken or a delay of some rows, or play, explains more.
+    """One step further, where none was taken or what promises nothing at first explains more.
 
     Each of the best is judged again by the noise that is left beside it: noise that was tuned
     without an effect covers it and pulls its size, so that a fit gains little of what was promised.
@@ -852,49 +860,52 @@ class _Ahead:
         return best
 
     def far(self, candidate: Candidate, accepted: Fit | None) -> _Further | None:
-        """Return the model with a delay or play far from none, if that explains more than anything.
+        """Return the model with an effect far from none, if that explains more than anything.
 
-        The predictor of a model without it loses the robot by one with it, or takes for chance what
-        the play does: there each size has to be judged along its own filter. In a closed loop a
-        row's mean command holds the answer to what happened within it, so a likelihood that takes
+        The predictor of a model without a delay loses the robot by one with it, or takes for chance
+        what play or bristles do: each size has to be judged along its own filter. In a closed loop
+        a row's mean command holds the answer to what happened within it, so a likelihood that takes
         commands as given prefers those of the row before (in one log without a delay: 3,500 more at
         1.25 rows): what ends nearer than the first of these sizes is none of them.
         """
-        delay = candidate.effect == DELAY
         current, runs = self._current.hypothesis, self._data.runs
-        parameter = candidate.parameters[0]
-        unit = max(run.row_s for run in runs) if delay else parameter.scale
-        sizes = FAR_DELAYS_ROWS if delay else FAR_PLAYS
-        nearest, most = sizes[0], parameter.high / unit
+        if candidate.effect == DELAY:
+            unit = max(run.row_s for run in runs)
+            sizes = unit * np.array(FAR_DELAYS_ROWS)
+        else:
+            first, factor, count = FAR_SIZES[candidate.effect]
+            sizes = candidate.parameters[0].scale * first * factor ** np.arange(count)
+        sizes = sizes[sizes <= candidate.parameters[0].high]
+        shapes = [list(start.values()) for start in candidate.starts]
 
-        def likeliest(wanted: Iterable[float], runs: Sequence[Run]) -> tuple[float, float]:
-            """Return the likeliest of some sizes and its likelihood."""
-            possible = [size for size in wanted if size <= most]
-            models = [current.with_effect(candidate, [size * unit]) for size in possible]
+        def likeliest(values: Iterable[Sequence[float]], runs: Sequence[Run]) -> _Likely:
+            """Return the likeliest model with the candidate of some values."""
+            models = [current.with_effect(candidate, own) for own in values]
             found = side_by_side(lambda model: self._likelihood(model, runs), models)
-            return max(zip(found, possible, strict=True), default=(-np.inf, nearest))[::-1]
+            none = _Likely(-np.inf, current)
+            return max(map(_Likely, found, models), key=lambda one: one.likelihood, default=none)
 
         few = some_runs(runs)  # enough to see whether any is worth a look
-        best, likelihood = likeliest(sizes, few)
-        if likelihood <= self._likelihood(current, few):
+        best = likeliest([[size, *shape] for size in sizes for shape in shapes], few)
+        if best.likelihood <= self._likelihood(current, few):
             return None
-        best, likelihood = likeliest([best], runs)
+        best = likeliest([best.model.values_of(-1)], runs)
         least = self._likelihood(accepted.hypothesis if accepted else current, runs)
-        if likelihood < least + SURE_GAIN / 2:
+        if best.likelihood < least + SURE_GAIN / 2:
             return None
         for share in FAR_STEPS:
-            step = share * (1.0 if delay else best * (PLAY_STEP - 1.0))
-            beside, its = likeliest((best - step, best + step), runs)
-            if its > likelihood:
-                best, likelihood = beside, its
-        if best < nearest:
+            size, *shape = best.model.values_of(-1)
+            step = share * (unit if candidate.effect == DELAY else size * (factor - 1.0))
+            beside = likeliest([[size - step, *shape], [size + step, *shape]], runs)
+            best = max(best, beside, key=lambda one: one.likelihood)
+        if best.model.values_of(-1)[0] < sizes[0]:
             return None
-        first = self._by_its_noise(candidate, current.with_effect(candidate, [best * unit]))
-        if first is None:
+        found = self._by_its_noise(candidate, best.model)
+        if found is None:
             return None
-        self.trials.append(first.trial)
-        [size] = first.fitted.hypothesis.values_of(len(current.effects))
-        return first if first.trial.accepted and size >= nearest * unit else None
+        self.trials.append(found.trial)
+        size = found.fitted.hypothesis.values_of(len(current.effects))[0]
+        return found if found.trial.accepted and size >= sizes[0] else None
 
     def _likelihood(self, hypothesis: Hypothesis, runs: Sequence[Run]) -> float:
         """Logarithm of that of a model's own filter, by the noise that is known."""

@@ -37,7 +37,7 @@ PEAK = 12.0
 1 %)."""
 SLOW_SHARE, SLOW_RAD_S = 0.02, 2.0
 SHAFT_TORQUE = "torque"
-DISTURBANCES = 14
+DISTURBANCES = -7
 """First of the filter's states of a robot that are disturbances (noise.py)."""
 P_VALUE = 1e-6
 """Over all pairs of equation and quantity."""

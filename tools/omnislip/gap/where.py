@@ -99,10 +99,9 @@ def _corrections(
     machine: Machine, runs: Sequence[Run], tracks: Sequence[_core.Track], equations: dict
 ) -> list[Array]:
     """Squared corrections over their expected variance (rows, equations) of each run."""
-    states, outputs = machine.engine.filter_states, machine.engine.outputs
-    result = []
+    outputs, result = machine.engine.outputs, []
     for run, track in zip(runs, tracks, strict=True):
-        rows = len(run.t_s)
+        rows, states = len(run.t_s), track.filter_states
         gain = track.gain.reshape(rows, states, outputs)
         innovation = np.nan_to_num(track.innovation.reshape(rows, outputs))
         change = np.einsum("rij,rj->ri", gain, innovation)
