@@ -56,6 +56,23 @@ def test_one_encoder_that_ripples_is_named(logs, wheel, order, angle):
     assert found[0].dependence == f"sine of {angle} shaft angle"
 
 
+@pytest.mark.parametrize(
+    ("dependence", "bend"),
+    [
+        ("distance from the middle", lambda x, y: 1.0 + 0.2 * (x**2 + y**2)),
+        ("place y", lambda x, y: 1.0 + 0.1 * y),
+    ],
+)
+def test_a_camera_that_bends_the_place_is_named(logs, dependence, bend):
+    def shown(log):
+        x, y = log.columns["pose/x_m"], log.columns["pose/y_m"]
+        bent = {"pose/x_m": x * bend(x, y), "pose/y_m": y * bend(x, y)}
+        return replace(log, columns=log.columns | bent)
+
+    found = left_in([shown(log) for log in logs])
+    assert (found[0].equation, found[0].dependence) == ("camera", dependence)
+
+
 @pytest.mark.parametrize("hidden", ["quadratic_wheel_drag", "fifth_order_drag"])
 def test_a_nameless_term_explains_more_than_a_name_of_another_shape(hidden):
     """Two drags that both grow with speed; only one of them is quadratic."""

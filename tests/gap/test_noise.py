@@ -19,6 +19,7 @@ from omnislip.gap.noise import (
     Noise,
     RunawayError,
     judging_noise,
+    some_runs,
     track_all,
     track_recordings,
     tune_noise,
@@ -92,6 +93,16 @@ def axis(tmp_path_factory):
 @pytest.fixture(params=["robot", "bristled", "axis"])
 def bench(request):
     return request.getfixturevalue(request.param)
+
+
+def test_noise_is_tuned_on_the_calmest_and_the_liveliest_of_many_runs(robot):
+    """Twelve of 2 s, of which six are enough. Noise that was tuned on calm ones knows no slip."""
+    run = robot.runs[0]
+    sizes = [0.5, 0.7, 0.1, *[0.6] * 7, 1.0, 0.4]
+    runs = [replace(run, name=str(size), command=size * run.command) for size in sizes]
+    chosen = [one.name for one in some_runs(runs)]
+    assert 6 <= len(chosen) <= 7
+    assert {"0.1", "1.0"} < set(chosen)
 
 
 # ---- likelihoods along a path ----

@@ -42,7 +42,7 @@ IN_ITS_PLACE = 0.5
 MOST_SHAPES = 5
 SHAFT_ORDERS = range(2, 13)
 SLOW_RAD_S = 2.0
-GYRO = 4
+GYRO, CAMERA = 4, (5, 6)
 
 
 @dataclass(frozen=True)
@@ -103,6 +103,7 @@ def dictionary(machine: Machine) -> list[Term]:
         for name, shape in {**SHAFT_SHAPES, **ANGLE_SHAPES, **rubbing}.items()
     ]
     terms += [Term("gyro", name, (), shape, (GYRO,)) for name, shape in GYRO_SHAPES.items()]
+    terms += [Term("camera", name, (), shape, CAMERA) for name, shape in CAMERA_SHAPES.items()]
     terms += [
         Term(equation, name, (), shape, outputs)
         for equation, outputs in {
@@ -336,6 +337,17 @@ GYRO_SHAPES: dict[str, Callable[..., Array]] = {
     "yaw rate squared": lambda x, d, t, i: x[:, 10] * np.abs(x[:, 10]),
     "time": lambda x, d, t, i: t,
 }
+
+CAMERA_SHAPES: dict[str, Callable[..., Array]] = {
+    "distance from the middle": lambda x, d, t, i: (
+        x[:, 6 + i] * (x[:, 11] ** 2 + x[:, 12] ** 2)  # sensors 5 and 6 show states 11 and 12
+    ),
+    "place x": lambda x, d, t, i: x[:, 6 + i] * x[:, 11],
+    "place y": lambda x, d, t, i: x[:, 6 + i] * x[:, 12],
+    "axis": lambda x, d, t, i: x[:, 6 + i] * (1.0 if i == 5 else -1.0),
+}
+"""What a camera shows besides, in proportion to the place: a lens that bends, a camera that looks
+askew, axes of two scales."""
 
 YAW_SHAPES: dict[str, Callable[..., Array]] = {
     "constant": lambda x, d, t, i: np.ones(len(x)),
