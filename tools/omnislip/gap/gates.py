@@ -33,8 +33,10 @@ Array = npt.NDArray[np.float64]
 MOST_ROW_S = 0.5
 GAP_S = 0.1
 """Rows may be missing; from here on the log is cut."""
-LATE_S = 0.08
+LATE_S = 0.15
 """Lags up to here are found as effects of the sensors, with a size."""
+MOST_SKEW = 0.04
+"""Of two clocks: what clock_skew describes, and a fifth less."""
 SLIP_LATE_S = 0.25
 """The body may follow slipping wheels as late as this."""
 MOST_LAG_S = 0.6
@@ -600,6 +602,9 @@ def _late(machine: Machine, log: Log) -> str | None:
     if len(clear) >= 2 and abs(clear[-1][1] - clear[0][1]) > LATE_S:
         apart_s = (clear[-1][0] - clear[0][0]) * third * GRID_S
         share = (clear[-1][1] - clear[0][1]) / apart_s
+        at_begin_s = clear[0][1] - share * (clear[0][0] + 0.5) * third * GRID_S
+        if abs(share) < MOST_SKEW and abs(at_begin_s) < LATE_S:
+            return None  # the effect clock_skew
         return (
             f"the pose is {_words(clear[0][1])} against the gyro at first and "
             f"{_words(clear[-1][1])} later: clocks apart by {100 * abs(share):.1f} %"
