@@ -142,6 +142,54 @@ def test_a_soft_shaft_of_any_robot_is_looked_for_at_the_same_frequencies(size):
         assert ours == pytest.approx({index: size * value for index, value in theirs.items()})
 
 
+@pytest.mark.parametrize(
+    ("key", "effect", "power"),
+    [
+        ("motor.supply_v", "coulomb_friction", 1.0),
+        ("motor.resistance_ohm", "coulomb_friction", -1.0),
+        ("motor.resistance_ohm", "armature_inductance", 1.0),
+        ("motor.resistance_ohm", "winding_heating", 2.0),
+        ("motor.resistance_ohm", "current_limit", -1.0),
+        ("motor.back_emf_constant_v_s_rad", "viscous_friction_error", 1.0),
+        ("motor.back_emf_constant_v_s_rad", "quadratic_wheel_drag", 2.0),
+        ("motor.inertia_kg_m2", "motor_inertia_error", 1.0),
+        ("robot.inertia_kg_m2", "inertia_error", 1.0),
+        ("robot.mass_kg", "payload", 1.0),
+        ("robot.mass_kg", "diagonal_load_bias", 1.0),
+        ("robot.mass_kg", "yaw_scrub", 1.0),
+        ("robot.wheel_distance_m", "yaw_scrub", 1.0),
+        ("robot.wheel_distance_m", "cog_offset", 1.0),
+        ("robot.mass_kg", "low_grip", 0.0),
+        ("motor.supply_v", "yaw_scrub", 0.0),
+    ],
+)
+@pytest.mark.parametrize("factor", [0.1, 3.0])
+def test_what_is_looked_for_goes_with_motor_and_body(key, effect, power, factor):
+    """Friction of a motor is a share of its stall torque, a load one of the mass, and so on."""
+    nominal = read_model(NOMINAL_ROBOT)
+    values = nominal.values | {key: factor * nominal.values[key]}
+    ours, known = (
+        {c.effect: c for c in Machine(model).candidates()}[effect]
+        for model in (dataclasses.replace(nominal, values=values), nominal)
+    )
+    for index in known.amplitudes:
+        expected = factor**power * known.parameters[index].scale
+        assert ours.parameters[index].scale == pytest.approx(expected)
+    for start, theirs in zip(ours.starts, known.starts, strict=True):
+        assert start == pytest.approx({i: factor**power * x for i, x in theirs.items()})
+
+
+@pytest.mark.parametrize("name", ["motor_inertia_error", "inertia_error"])
+def test_no_more_inertia_may_be_missing_than_there_is(name):
+    nominal = read_model(NOMINAL_ROBOT)
+    for key in ("motor.inertia_kg_m2", "robot.inertia_kg_m2"):
+        small = nominal.values | {key: 0.1 * nominal.values[key]}
+        machine = Machine(dataclasses.replace(nominal, values=small))
+        candidate = {c.effect: c for c in machine.candidates()}[name]
+        own = {"motor_inertia_error": "motor.", "inertia_error": "robot."}[name]
+        assert candidate.parameters[0].low > -small[f"{own}inertia_kg_m2"]
+
+
 @pytest.mark.parametrize("speed_rad_s", [0.0, 40.0, 900.0])
 def test_an_encoder_may_lose_counts_from_any_speed_that_it_shows(speed_rad_s):
     """Also of a robot ten times as slow or fast as the nominal one, or whose wheel stands still."""

@@ -7,6 +7,7 @@ parameter of every effect, wheel by wheel. This module knows which place means w
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -63,10 +64,12 @@ AXIS_COMMAND = 3.0
 """A command (V, A) that a limit worth looking for would clip."""
 AXIS_RESONANCE_RAD_S = 2 * math.pi * 50.0
 """Where a two-mass drive worth looking for rings: screws and belts lie between 20 and 100 Hz."""
-NOMINAL_DRIVE_KG_M2 = 3.6e-3
-"""Inertia at the wheel of the drive that the catalogue's springs and dampers are for: those of
-others are as much larger as their inertia, and ring at the same frequency."""
-OF_THE_DRIVE = ("stiffness_nm_rad", "damping_nm_s_rad")
+OF_THE_DRIVE = ("N m/rad", "N m s/rad")
+"""Units of springs and dampers: as much larger as the drive's inertia at the wheel is, they ring at
+the same frequency."""
+OF_THE_BODY = ("kg", "N", "N s/m", "N s^2/m^2", "N/m")
+"""Units of what is as much larger as the robot is heavier."""
+INERTIA = "kg m^2"
 PERIODIC_UNIT = "rad"
 NEEDS = {"pendulum_zero_error": "axis.pendulum_mass_kg"}
 """Effects of what a machine may not have, and the key that says it has it."""
@@ -372,7 +375,7 @@ class Machine:
             ]
             starts = tuple({i: x * ratio[i] for i, x in start.items()} for start in starts)
         else:
-            size = [self._size(entry["name"]) for entry in own]
+            size = [self._size(entry["name"], p) for p in own]
             starts = tuple({i: x * size[i] for i, x in start.items()} for start in starts)
         return Candidate(entry["name"], wheel, tuple(parameters), tuple(sizes), starts)
 
@@ -382,8 +385,10 @@ class Machine:
         low, high = entry["low"], entry["high"]
         if self.kind == "axis" and entry["name"] == "limit_a":
             low = 0.01 * scale  # the catalogue's bound is in ampere
-        if self.kind == "robot":
-            low *= self._size(entry["name"])
+        if entry["unit"] in OF_THE_DRIVE:
+            low *= self._size(effect, entry)
+        if entry["unit"] == INERTIA:  # of a smaller robot no more may be missing than it has
+            low *= min(1.0, self._size(effect, entry))
         if not math.isfinite(entry["neutral"]) and entry["typical"] != 0:
             high = min(high, MOST_OF_ABSENT * scale)
         if entry["name"] == "damping_nm_s_rad":  # beyond, the spring is bridged
@@ -404,15 +409,50 @@ class Machine:
             if own is not None:
                 return own
         scale = abs(entry["typical"]) if entry["typical"] != 0 else _shape_scale(entry)
-        return scale * self._size(entry["name"])
+        return scale * self._size(effect, entry)
 
-    def _size(self, parameter: str) -> float:
-        """How much larger a parameter is in a robot that differs from the nominal one by it."""
-        if self.kind != "robot" or parameter not in OF_THE_DRIVE:
+    def _size(self, effect: str, parameter: dict) -> float:
+        """How much larger a parameter of the catalogue is in this robot than in the nominal one.
+
+        A secant has to reach as far as the effect may: friction that blocks a smaller motor tells
+        nothing of friction that slows it, and beside a larger one it is lost in rounding.
+        """
+        if self.kind != "robot" or effect in self.model.definitions:
             return 1.0
-        values = self.model.values
-        at_wheel = float(values["motor.inertia_kg_m2"]) * float(values["motor.gear_ratio"]) ** 2
-        return at_wheel / NOMINAL_DRIVE_KG_M2
+        unit = parameter["unit"]
+        common = self._sizes.get(unit, 1.0)
+        return self._sizes.get((self.catalogue[effect]["where"], unit), common)
+
+    @cached_property
+    def _sizes(self) -> dict[str | tuple[str, str], float]:
+        """Sizes by unit, or by what it is about and unit: those of motors, drives and bodies."""
+        nominal = {p["name"]: p["default"] for p in _core.base_parameters("robot")}
+
+        def ratio(key: str) -> float:
+            value = float(self.model.values[key])  # type: ignore[arg-type]
+            return value / nominal[key] if value > 0 else 1.0
+
+        resistance, mass = ratio("motor.resistance_ohm"), ratio("robot.mass_kg")
+        distance, motor = ratio("robot.wheel_distance_m"), ratio("motor.inertia_kg_m2")
+        stall_a = ratio("motor.supply_v") / resistance
+        stall_nm = ratio("motor.torque_constant_nm_a") * stall_a
+        fastest = ratio("motor.supply_v") / ratio("motor.back_emf_constant_v_s_rad")
+        sizes: dict[str | tuple[str, str], float] = dict.fromkeys(OF_THE_BODY, mass)
+        sizes |= dict.fromkeys(OF_THE_DRIVE, motor * ratio("motor.gear_ratio") ** 2)
+        return sizes | {
+            "A": stall_a,
+            "1/(A^2 s)": stall_a**-2,
+            "ohm": resistance,
+            "H": resistance,
+            "N m": stall_nm,
+            "N m s": stall_nm / fastest,
+            "N m s^2": stall_nm / fastest**2,
+            ("shaft", "rad/s"): fastest,
+            ("motor", INERTIA): motor,
+            ("body", INERTIA): ratio("robot.inertia_kg_m2"),
+            ("body", "N m"): mass * distance,
+            ("body", "m"): distance,
+        }
 
     def _axis_size(self, effect: str, parameter: str) -> float | None:
         """Size from the force of an axis at unit command, its inertia and friction."""
@@ -467,7 +507,7 @@ WHOLE = {("cogging", "cycles_per_rev"), ("roller_ripple", "rollers")}
 
 # Starting values of shaping parameters; where the fit is not convex one start is not enough.
 SHAPE_GRIDS = {
-    ("stribeck_friction", "speed_rad_s"): (4.0, 12.0, 40.0),
+    ("stribeck_friction", "speed_rad_s"): (4.0, 12.0, 40.0, 120.0),
     # Each number, for one next to it is out of step after some turns; then some of many slots.
     ("cogging", "cycles_per_rev"): tuple(
         float(n) for n in (*range(1, 25), 28, 30, 36, 42, 48, 60, 72, 84)
