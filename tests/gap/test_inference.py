@@ -24,6 +24,7 @@ from hypothesis.extra.numpy import arrays
 from hypothesis.strategies import floats
 from omnislip.gap.inference import (
     DIVERGED,
+    LEAST_OFF,
     LEAST_STAKE,
     Check,
     Data,
@@ -465,6 +466,10 @@ def test_a_run_that_does_not_judge_has_no_vote():
 vectors = arrays(np.float64, 8, elements=floats(-10.0, 10.0, width=32))
 
 
+NONE = np.zeros(8)
+"""Residuals of which nothing is left."""
+
+
 def doing(action):
     """A fit with one effect that does `action` (m,) to the residuals."""
     hypothesis = SimpleNamespace(effects=(None,))
@@ -476,10 +481,19 @@ def test_what_an_effect_does_alike_it_may_leave_in_full_and_elsewhere_nothing():
     fitted = doing(action)
     alike, elsewhere = 5.0 * np.abs(action), np.array([0.0, 0.0, 0.0, 1.0, 2.0, 0.0, 0.0, 0.0])
     share = 1e-3
-    assert left_by_shapes(None, fitted, alike, lambda e: share) == pytest.approx(share * 14.0)
-    assert left_by_shapes(None, fitted, elsewhere, lambda e: share) == 0.0
-    assert left_by_shapes(None, fitted, alike, lambda e: 0.0) == 0.0
-    assert left_by_shapes(None, fitted, 0.0 * alike, lambda e: share) == 0.0
+    assert left_by_shapes(None, fitted, alike, NONE, lambda e: share) == pytest.approx(share * 14.0)
+    assert left_by_shapes(None, fitted, elsewhere, NONE, lambda e: share) == 0.0
+    assert left_by_shapes(None, fitted, alike, NONE, lambda e: 0.0) == 0.0
+    assert left_by_shapes(None, fitted, 0.0 * alike, NONE, lambda e: share) == 0.0
+
+
+def test_no_more_can_be_left_than_is_seen():
+    """Of 1000 deviations of chance, 3 % would be 30: where one is all that is left, it is not."""
+    action, change = np.full(8, 1000.0), np.ones(8)
+    for seen, possible in ((0.0, 1.0 / LEAST_OFF), (9.0, 10.0 / LEAST_OFF), (99.0, 1000.0)):
+        left = np.full(8, -seen)
+        found = left_by_shapes(None, doing(action), change, left, lambda e: 1.0)
+        assert found == pytest.approx(8 * possible**2)
 
 
 def test_what_an_effect_does_is_what_goes_with_it(dry):
@@ -519,11 +533,12 @@ def test_what_several_effects_leave_adds(dry):
         hypothesis = hypothesis.with_effect(effect, values)
     both = fit(data, hypothesis, iterations=0)
     change = np.random.default_rng(1).standard_normal(len(both.residual))
+    seen = both.residual
     alone = [
-        left_by_shapes(data, both, change, lambda effect, own=own: float(effect is own))
+        left_by_shapes(data, both, change, seen, lambda effect, own=own: float(effect is own))
         for own in effects
     ]
-    together = left_by_shapes(data, both, change, lambda effect: 1.0)
+    together = left_by_shapes(data, both, change, seen, lambda effect: 1.0)
     assert min(alone) > 0.0
     assert together == pytest.approx(sum(alone))
 
@@ -532,7 +547,7 @@ def test_what_several_effects_leave_adds(dry):
 def test_no_shape_that_is_off_by_no_more_leaves_more(action, change, off):
     """Whatever share of its action an effect is off in each residual, up to 1; one reaches it."""
     assume(change @ change > 1e-6)
-    most = left_by_shapes(None, doing(action), change, lambda effect: 1.0)
+    most = left_by_shapes(None, doing(action), change, NONE, lambda effect: 1.0)
 
     def gain(left):
         return (left @ change) ** 2 / (change @ change)

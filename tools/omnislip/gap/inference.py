@@ -53,6 +53,8 @@ ALIKE = 4.0
 STIFFEST_1_S, STIFFER = 2e4, 2.0
 """Rate of a model up to which it is followed, or times that of the model beside which it is tried:
 a gear so stiff is rigid to any log, and some are a thousand times as slow to follow."""
+LEAST_OFF = 0.03
+"""How far off in shape every effect may be."""
 STEPS_ALIKE = 1.02
 """Sets faster than the first by up to this take its steps: what steps change is no derivative."""
 DIVERGED = 1e3
@@ -670,15 +672,23 @@ def _grams(data: Data, fitted: Fit) -> Array:
 
 
 def left_by_shapes(
-    data: Data, fitted: Fit, change: Array, share_of: Callable[[Candidate], float]
+    data: Data,
+    fitted: Fit,
+    change: Array,
+    left: Array,
+    share_of: Callable[[Candidate], float],
 ) -> float:
     """Return the gain along a change of the residuals (m,) that shapes of effects may leave.
+
+    `left` are the residuals (m,) without the change.
 
     No plant has an effect's shape exactly. One that is off by a share e_i of what the effect does
     in residual i, a_i, leaves e_i a_i there. With |e_i| <= e that gives a change k a gain of up to
     e^2 (sum |a_i k_i|)^2 / sum k_i^2: nothing where they act in other rows or other channels,
     e^2 sum a_i^2 where they act alike. Errors of different effects are independent, their gains
-    add. `share_of` is e^2 of an effect of the model.
+    add. `share_of` is e^2 of an effect of the model. No more can be left in a residual than is seen
+    there: where an effect does a thousand times what chance does, and chance is all that is left,
+    it is not off by 3 %.
     """
     size, square = np.abs(change), float(change @ change)
     if not square:
@@ -686,7 +696,8 @@ def left_by_shapes(
     shares = np.array([share_of(effect) for effect in fitted.hypothesis.effects])
     if not shares.any():
         return 0.0
-    return float(shares @ (np.abs(fitted.actions(data)) @ size) ** 2) / square
+    possible = np.minimum(np.abs(fitted.actions(data)), (1.0 + np.abs(left)) / LEAST_OFF)
+    return float(shares @ (possible @ size) ** 2) / square
 
 
 @dataclass(frozen=True)

@@ -239,7 +239,7 @@ def _passing(data: Data, fitted: Fit, terms: Sequence[Term], free: Array) -> lis
                     inflation,
                     min(p_value, 1.0),
                     check.gain,
-                    left_by_shapes(data, fitted, column[:, 0], _covered_share),
+                    left_by_shapes(data, fitted, column[:, 0], fitted.residual, _covered_share),
                 )
             )
     return sorted(found, key=lambda leftover: -leftover.gain)

@@ -187,7 +187,10 @@ def tune_noise(
         best, logs = path.log_likelihood, trial
         if not left:
             break
-        gained, trial = path.climb(logs)
+        try:
+            gained, trial = path.climb(logs)
+        except np.linalg.LinAlgError:  # covariances lost in rounding: no way on from here
+            break
         if gained < CONVERGED:
             break
     return make(machine, logs)

@@ -509,7 +509,7 @@ def _starting_sizes(data: Data, current: Hypothesis, screened: Screened) -> list
     high = np.array([p.high for p in candidate.parameters])
     margin = np.array([0.01 * p.scale for p in candidate.parameters])
     starts = []
-    for share, most in ((1.0, 0.02), (1.0, 1.0), (1.0, 5.0), (1.6, 5.0), (2.5, 5.0)):
+    for share, most in ((1.0, 0.02), (1.0, 1.0), (1.0, 5.0), (1.0, 20.0), (1.6, 5.0), (2.5, 5.0)):
         sizes = _neutral(data, current, candidate, shapes)
         for index in candidate.amplitudes:
             if not np.isfinite(sizes[index]):
@@ -1121,7 +1121,9 @@ def _left_by_others(data: Data, without: Fit, fitted: Fit, index: int) -> float:
     """Gain of effect `index` that the others would leave if off by all that they do."""
     own = fitted.hypothesis.effects[index]
     change = without.residual - fitted.residual
-    return left_by_shapes(data, fitted, change, lambda effect: 0.0 if effect is own else 1.0)
+    return left_by_shapes(
+        data, fitted, change, without.residual, lambda effect: 0.0 if effect is own else 1.0
+    )
 
 
 def _within_row(data: Data, candidate: Candidate, sizes: Array) -> bool:
