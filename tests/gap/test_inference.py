@@ -466,8 +466,8 @@ def test_a_run_that_does_not_judge_has_no_vote():
 vectors = arrays(np.float64, 8, elements=floats(-10.0, 10.0, width=32))
 
 
-NONE = np.zeros(8)
-"""Residuals of which nothing is left."""
+MUCH = np.full(8, 1e3)
+"""Residuals in which any shape may hide."""
 
 
 def doing(action):
@@ -481,19 +481,21 @@ def test_what_an_effect_does_alike_it_may_leave_in_full_and_elsewhere_nothing():
     fitted = doing(action)
     alike, elsewhere = 5.0 * np.abs(action), np.array([0.0, 0.0, 0.0, 1.0, 2.0, 0.0, 0.0, 0.0])
     share = 1e-3
-    assert left_by_shapes(None, fitted, alike, NONE, lambda e: share) == pytest.approx(share * 14.0)
-    assert left_by_shapes(None, fitted, elsewhere, NONE, lambda e: share) == 0.0
-    assert left_by_shapes(None, fitted, alike, NONE, lambda e: 0.0) == 0.0
-    assert left_by_shapes(None, fitted, 0.0 * alike, NONE, lambda e: share) == 0.0
+    assert left_by_shapes(None, fitted, alike, MUCH, lambda e: share) == pytest.approx(share * 14.0)
+    assert left_by_shapes(None, fitted, elsewhere, MUCH, lambda e: share) == 0.0
+    assert left_by_shapes(None, fitted, alike, MUCH, lambda e: 0.0) == 0.0
+    assert left_by_shapes(None, fitted, 0.0 * alike, MUCH, lambda e: share) == 0.0
 
 
-def test_no_more_can_be_left_than_is_seen():
-    """Of 1000 deviations of chance, 3 % would be 30: where one is all that is left, it is not."""
-    action, change = np.full(8, 1000.0), np.ones(8)
-    for seen, possible in ((0.0, 1.0 / LEAST_OFF), (9.0, 10.0 / LEAST_OFF), (99.0, 1000.0)):
+def test_no_more_is_left_along_a_change_than_is_seen_at_all():
+    """An effect that does 1000 deviations of chance, 3 % of which would be 30, and is half of it
+    alike: where two are all that is left, it may leave two in these."""
+    action = np.full(8, 1000.0)
+    change = np.array([1.0] * 4 + [0.0] * 4)
+    for seen, off in ((2.0, 2.0), (15.0, 15.0), (30.0, 30.0), (500.0, 30.0)):
         left = np.full(8, -seen)
-        found = left_by_shapes(None, doing(action), change, left, lambda e: 1.0)
-        assert found == pytest.approx(8 * possible**2)
+        found = left_by_shapes(None, doing(action), change, left, lambda e: LEAST_OFF**2)
+        assert found == pytest.approx(4 * off**2)
 
 
 def test_what_an_effect_does_is_what_goes_with_it(dry):
@@ -533,7 +535,7 @@ def test_what_several_effects_leave_adds(dry):
         hypothesis = hypothesis.with_effect(effect, values)
     both = fit(data, hypothesis, iterations=0)
     change = np.random.default_rng(1).standard_normal(len(both.residual))
-    seen = both.residual
+    seen = np.full(len(change), 1e3)
     alone = [
         left_by_shapes(data, both, change, seen, lambda effect, own=own: float(effect is own))
         for own in effects
@@ -547,7 +549,7 @@ def test_what_several_effects_leave_adds(dry):
 def test_no_shape_that_is_off_by_no_more_leaves_more(action, change, off):
     """Whatever share of its action an effect is off in each residual, up to 1; one reaches it."""
     assume(change @ change > 1e-6)
-    most = left_by_shapes(None, doing(action), change, NONE, lambda effect: 1.0)
+    most = left_by_shapes(None, doing(action), change, MUCH, lambda effect: 1.0)
 
     def gain(left):
         return (left @ change) ** 2 / (change @ change)

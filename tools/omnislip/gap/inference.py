@@ -686,9 +686,8 @@ def left_by_shapes(
     in residual i, a_i, leaves e_i a_i there. With |e_i| <= e that gives a change k a gain of up to
     e^2 (sum |a_i k_i|)^2 / sum k_i^2: nothing where they act in other rows or other channels,
     e^2 sum a_i^2 where they act alike. Errors of different effects are independent, their gains
-    add. `share_of` is e^2 of an effect of the model. No more can be left in a residual than is seen
-    there: where an effect does a thousand times what chance does, and chance is all that is left,
-    it is not off by 3 %.
+    add. `share_of` is e^2 of an effect of the model. Where all residuals hold less than an effect
+    would leave that is 3 % off, it is less off, by as much.
     """
     size, square = np.abs(change), float(change @ change)
     if not square:
@@ -696,8 +695,10 @@ def left_by_shapes(
     shares = np.array([share_of(effect) for effect in fitted.hypothesis.effects])
     if not shares.any():
         return 0.0
-    possible = np.minimum(np.abs(fitted.actions(data)), (1.0 + np.abs(left)) / LEAST_OFF)
-    return float(shares @ (possible @ size) ** 2) / square
+    actions = np.abs(fitted.actions(data))
+    by_least = np.maximum(LEAST_OFF**2 * np.sum(actions**2, axis=1), 1e-12)
+    shares = shares * np.minimum(1.0, float(left @ left) / by_least)
+    return float(shares @ (actions @ size) ** 2) / square
 
 
 @dataclass(frozen=True)
