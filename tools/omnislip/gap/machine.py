@@ -507,7 +507,7 @@ WHOLE = {("cogging", "cycles_per_rev"), ("roller_ripple", "rollers")}
 
 # Starting values of shaping parameters; where the fit is not convex one start is not enough.
 SHAPE_GRIDS = {
-    ("stribeck_friction", "speed_rad_s"): (4.0, 12.0, 40.0, 120.0),
+    ("stribeck_friction", "speed_rad_s"): (4.0, 12.0, 40.0),
     # Each number, for one next to it is out of step after some turns; then some of many slots.
     ("cogging", "cycles_per_rev"): tuple(
         float(n) for n in (*range(1, 25), 28, 30, 36, 42, 48, 60, 72, 84)

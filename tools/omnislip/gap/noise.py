@@ -293,11 +293,17 @@ class _Path:
 
 
 def some_runs(runs: Sequence[Run]) -> list[Run]:
-    """Return runs from the liveliest to the calmest, `TUNING_TIME_S` or more, with every sensor."""
+    """Return runs from the whole range, `TUNING_TIME_S` or more, with every sensor in one.
+
+    Of what rolls on wheels from the liveliest, where they slip, to the calmest. Of an axis by their
+    order: how it is driven hardly tells how well its motion is foreseen.
+    """
     share = TUNING_TIME_S / max(sum(run.duration_s for run in runs), 1e-9)
     count = int(np.clip(np.ceil(share * len(runs)), 1, len(runs)))
-    livelier = np.argsort([float(np.var(run.command, axis=0).sum()) for run in runs], kind="stable")
-    chosen = set(livelier[np.linspace(len(runs) - 1, 0, count).round().astype(int)])
+    order = np.arange(len(runs))
+    if runs[0].command.shape[1] > 1:
+        order = np.argsort([np.var(run.command, axis=0).sum() for run in runs], kind="stable")
+    chosen = set(order[np.linspace(0, len(runs) - 1, count).round().astype(int)])
     shown = np.array([~np.isnan(run.outputs).all(axis=0) for run in runs])
     for sensor in shown.T:
         if sensor.any() and not sensor[list(chosen)].any():
