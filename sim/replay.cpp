@@ -130,8 +130,9 @@ Track track(const Kernel &kernel, const Recording &recording, const double *valu
     const std::shared_ptr<const void> loaded = kernel.load(values);
     Track result;
     result.memory = kernel.filtered_memory(loaded.get());
-    const int of_plant = kernel.states(), remembered = static_cast<int>(result.memory.size());
-    const int n = of_plant + remembered, m = kernel.outputs(), q = kernel.pushes(), all = n + q;
+    const int of_plant = kernel.states();
+    const int n = of_plant + static_cast<int>(result.memory.size()), m = kernel.outputs(),
+              q = kernel.pushes(), all = n + q;
     result.filter_states = all;
     result.gain.assign(rows * all * m, 0.0);
     result.whitening.assign(rows * m * m, 0.0);
@@ -145,16 +146,12 @@ Track track(const Kernel &kernel, const Recording &recording, const double *valu
         result.transition.assign(rows * all * all, 0.0);
         result.slope.assign(rows * m * all, 0.0);
     }
-    Vector process = Vector::Zero(n), initial(n);
+    Vector process = Vector::Zero(n), initial = Vector::Zero(n);
     std::copy(noise.process.begin(), noise.process.end(), process.data());
     std::copy(noise.initial.begin(), noise.initial.end(), initial.data());
     std::vector<int> place(static_cast<std::size_t>(n)); /* of what the filter moves, in x */
     std::iota(place.begin(), place.end(), 0);
-    for (int i = 0; i < remembered; ++i) {
-        const FilteredMemory &one = result.memory[static_cast<std::size_t>(i)];
-        place[static_cast<std::size_t>(of_plant + i)] = one.place;
-        initial[of_plant + i] = one.variance;
-    }
+    std::copy(result.memory.begin(), result.memory.end(), place.begin() + of_plant);
     Vector lasting = Vector::Zero(q);
     std::copy(noise.coloured.begin(), noise.coloured.end(), lasting.data());
     const int motors = kernel.motors();

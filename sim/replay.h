@@ -78,15 +78,9 @@ struct Noise {
     double colour_rate_1_s = 100.0;
 };
 
-/* Memory that the filter corrects: its place behind the states, and its variance at first. */
-struct FilteredMemory {
-    int place;
-    double variance;
-};
-
 struct Track {
     int filter_states = 0;
-    std::vector<FilteredMemory> memory;
+    std::vector<int> memory; /* that the filter corrects: its places behind the states */
     std::vector<double> gain, whitening;
     std::vector<double> state;               /* [row][filter state] after the measurements */
     std::vector<double> innovation;          /* [row][output], NaN where not sampled */
@@ -132,20 +126,20 @@ class Kernel {
     virtual std::shared_ptr<const void> load(const double *values) const = 0;
     /* Fills the memory behind the states: as if the first row had lasted for long. */
     virtual void settle(const void *loaded, const Recording &recording, double *state) const = 0;
-    /* The memory that the filter corrects. */
-    virtual std::vector<FilteredMemory> filtered_memory(const void *loaded) const = 0;
+    /* Places of the memory that the filter corrects. */
+    virtual std::vector<int> filtered_memory(const void *loaded) const = 0;
     /* From row `row` to the next: next [states_and_memory], transition [moved][moved], where states
      * and the `memory` are moved. */
     virtual void linearise(const void *loaded, const Recording &recording, int row, double step_s,
-                           const std::vector<FilteredMemory> &memory, const double *state,
-                           double *next, double *transition) const = 0;
+                           const std::vector<int> &memory, const double *state, double *next,
+                           double *transition) const = 0;
     /* Whether the camera shows the pose of another moment than the row's: then the way gone up to
      * each row is wanted. */
     virtual bool shows_late(const void *loaded) const = 0;
     /* In row `row`, state [states_and_memory]: output [outputs], slope [outputs][moved]. `gone`
      * [row][3]: the way of a robot up to each row (memory.h), or null. */
     virtual void linearise_output(const void *loaded, const Recording &recording, int row,
-                                  const std::vector<FilteredMemory> &memory, const double *gone,
+                                  const std::vector<int> &memory, const double *gone,
                                   const double *state, double *output, double *slope) const = 0;
     /* Derivatives of the states of one set at many points: states [points][states], commands
      * [points][motors], derivative [points][states]; time 0, memory settled. */

@@ -82,8 +82,8 @@ class KernelOf final : public Kernel {
         };
         for (int i = 0; i < kStates; ++i)
             by_gain(x[i]);
-        for (const FilteredMemory &one : track.memory)
-            by_gain(x[one.place]);
+        for (const int place : track.memory)
+            by_gain(x[place]);
         for (int c = 0; c < kPushes; ++c)
             by_gain(disturbance[c]);
     }
@@ -104,8 +104,8 @@ class KernelOf final : public Kernel {
             };
             for (int i = 0; i < kStates; ++i)
                 by_push(x[i]);
-            for (const FilteredMemory &one : track.memory)
-                by_push(x[one.place]);
+            for (const int place : track.memory)
+                by_push(x[place]);
             for (int c = 0; c < kPushes; ++c)
                 disturbance[c] = disturbance[c] * S(track.decay[k]);
         }
@@ -309,18 +309,18 @@ class KernelOf final : public Kernel {
             state[i] = lane(x[i], 0);
     }
 
-    std::vector<FilteredMemory> filtered_memory(const void *loaded_set) const override {
+    std::vector<int> filtered_memory(const void *loaded_set) const override {
         const Plant &plant = static_cast<const Loaded *>(loaded_set)->plant;
-        std::vector<FilteredMemory> memory;
+        std::vector<int> memory;
         if constexpr (Plant::kKind == kRobot) {
             for (int i = 0; plant.has_bristles() && i < kMotors; ++i)
-                memory.push_back({Plant::kGrip + i, kGripVariance});
+                memory.push_back(Plant::kGrip + i);
         }
         return memory;
     }
 
     void linearise(const void *loaded_set, const Recording &recording, int row, double step_s,
-                   const std::vector<FilteredMemory> &memory, const double *state, double *next,
+                   const std::vector<int> &memory, const double *state, double *next,
                    double *transition) const override {
         const Loaded &loaded = *static_cast<const Loaded *>(loaded_set);
         const std::vector<int> moved = places_of_moved(memory);
@@ -346,8 +346,8 @@ class KernelOf final : public Kernel {
     }
 
     void linearise_output(const void *loaded_set, const Recording &recording, int row,
-                          const std::vector<FilteredMemory> &memory, const double *gone,
-                          const double *state, double *output, double *slope) const override {
+                          const std::vector<int> &memory, const double *gone, const double *state,
+                          double *output, double *slope) const override {
         const Loaded &loaded = *static_cast<const Loaded *>(loaded_set);
         const std::vector<int> moved = places_of_moved(memory);
         const int n = static_cast<int>(moved.size());
@@ -491,8 +491,6 @@ class KernelOf final : public Kernel {
             process[i] = of_each([i](const Noise &n) { return n.process[i]; });
             p[i][i] = of_each([i](const Noise &n) { return n.initial[i]; });
         }
-        for (int i = 0; i < kMemory; ++i)
-            p[kStates + i][kStates + i] = S(track.memory[i].variance);
         for (int c = 0; c < kPushes; ++c) {
             lasting[c] = of_each([c](const Noise &n) { return n.coloured[c]; });
             p[kMoved + c][kMoved + c] = lasting[c];
@@ -667,14 +665,11 @@ class KernelOf final : public Kernel {
     }
 
     static constexpr double kProbe = 1e-5;
-    /* Nobody knows how strained bristles are after the last stop: a fifth of the grip. */
-    static constexpr double kGripVariance = 0.04;
 
-    static std::vector<int> places_of_moved(const std::vector<FilteredMemory> &memory) {
+    static std::vector<int> places_of_moved(const std::vector<int> &memory) {
         std::vector<int> places(kStates);
         std::iota(places.begin(), places.end(), 0);
-        for (const FilteredMemory &one : memory)
-            places.push_back(one.place);
+        places.insert(places.end(), memory.begin(), memory.end());
         return places;
     }
 

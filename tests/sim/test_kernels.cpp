@@ -254,15 +254,15 @@ static void kernel_describes_the_plant(void) {
 static void rows_slope_is_the_plants(const RobotModel &model, std::size_t remembered) {
     const std::unique_ptr<Kernel> kernel = make_kernel(0, 8);
     const std::shared_ptr<const void> loaded = kernel->load(model.flat.data());
-    const std::vector<FilteredMemory> memory = kernel->filtered_memory(loaded.get());
+    const std::vector<int> memory = kernel->filtered_memory(loaded.get());
     TEST_ASSERT_EQUAL_size_t(remembered, memory.size());
     using Whole = std::array<double, RobotLayout::kAll>;
     Whole start = {120.0, -80.0, 60.0, -30.0, 1.0, 2.0, 3.0, 4.0, 0.7, -0.3, 1.2, 0.5, 0.6, 0.7};
     std::vector<std::size_t> places(RobotLayout::kStates);
     std::iota(places.begin(), places.end(), std::size_t{0});
-    for (const FilteredMemory &one : memory) {
-        start[static_cast<std::size_t>(one.place)] = 0.1 * static_cast<double>(places.size() - 16);
-        places.push_back(static_cast<std::size_t>(one.place));
+    for (const int place : memory) {
+        start[static_cast<std::size_t>(place)] = 0.1 * static_cast<double>(places.size() - 16);
+        places.push_back(static_cast<std::size_t>(place));
     }
     const Robot::Command duty = {0.5, -0.2, 0.4, 0.1};
     const std::vector<double> begin_s = {0.0};
