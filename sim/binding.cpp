@@ -687,8 +687,9 @@ void bind_replay(nb::module_ &m) {
              "would have let currents of these squares (rows, motors) through.");
     nb::class_<Track>(m, "Track", "Arrays are flat, row major: see replay.h for their layout.")
         .def_ro("log_likelihood", &Track::log_likelihood)
-        .def_ro("filter_states", &Track::filter_states,
-                "Those of the plant, memory that the filter corrects, disturbances.")
+        .def_prop_ro(
+            "filter_states", [](const Track &t) { return t.state.size() / t.decay.size(); },
+            "Those of the plant, memory that the filter corrects, disturbances.")
         .def_prop_ro("state", [](const Track &t) { return copy_to_numpy(t.state); })
         .def_prop_ro("innovation", [](const Track &t) { return copy_to_numpy(t.innovation); })
         .def_prop_ro("whitening", [](const Track &t) { return copy_to_numpy(t.whitening); })

@@ -133,7 +133,6 @@ Track track(const Kernel &kernel, const Recording &recording, const double *valu
     const int of_plant = kernel.states();
     const int n = of_plant + static_cast<int>(result.memory.size()), m = kernel.outputs(),
               q = kernel.pushes(), all = n + q;
-    result.filter_states = all;
     result.gain.assign(rows * all * m, 0.0);
     result.whitening.assign(rows * m * m, 0.0);
     result.state.assign(rows * all, 0.0);
@@ -149,9 +148,9 @@ Track track(const Kernel &kernel, const Recording &recording, const double *valu
     Vector process = Vector::Zero(n), initial = Vector::Zero(n);
     std::copy(noise.process.begin(), noise.process.end(), process.data());
     std::copy(noise.initial.begin(), noise.initial.end(), initial.data());
-    std::vector<int> place(static_cast<std::size_t>(n)); /* of what the filter moves, in x */
-    std::iota(place.begin(), place.end(), 0);
-    std::copy(result.memory.begin(), result.memory.end(), place.begin() + of_plant);
+    std::vector<int> moved(static_cast<std::size_t>(n)); /* places in x */
+    std::iota(moved.begin(), moved.end(), 0);
+    std::copy(result.memory.begin(), result.memory.end(), moved.begin() + of_plant);
     Vector lasting = Vector::Zero(q);
     std::copy(noise.coloured.begin(), noise.coloured.end(), lasting.data());
     const int motors = kernel.motors();
@@ -160,7 +159,7 @@ Track track(const Kernel &kernel, const Recording &recording, const double *valu
     x.head(of_plant) = Eigen::Map<const Vector>(recording.initial_state.data(), of_plant);
     kernel.settle(loaded.get(), recording, x.data());
     Vector estimate = Vector::Zero(all), grown(all);
-    estimate.head(n) = x(place);
+    estimate.head(n) = x(moved);
     Matrix p = Matrix::Zero(all, all);
     p.diagonal().head(n) = initial;
     p.diagonal().tail(q) = lasting;
@@ -173,7 +172,7 @@ Track track(const Kernel &kernel, const Recording &recording, const double *valu
     std::vector<double> gone(kernel.shows_late(loaded.get()) ? 3 * rows : 0, 0.0);
     for (std::size_t k = 0; k < rows; ++k) {
         const double *measured = &recording.output[k * m];
-        kernel.linearise_output(loaded.get(), recording, static_cast<int>(k), result.memory,
+        kernel.linearise_output(loaded.get(), recording, static_cast<int>(k), moved,
                                 gone.empty() ? nullptr : gone.data(), x.data(), predicted.data(),
                                 shown.data());
         slope.leftCols(n) = shown;
@@ -194,7 +193,7 @@ Track track(const Kernel &kernel, const Recording &recording, const double *valu
                    estimate, p, &result.gain[k * all * m], &result.whitening[k * m * m],
                    &result.correction_variance[k * all]);
         std::copy_n(estimate.data(), all, &result.state[k * all]);
-        x(place) = estimate.head(n);
+        x(moved) = estimate.head(n);
         if (recording.time_s[k] >= restart_s) {
             free = p; /* it starts where the filter is, but follows no disturbance */
             free.rightCols(q).setZero();
@@ -205,8 +204,8 @@ Track track(const Kernel &kernel, const Recording &recording, const double *valu
         if (k + 1 == rows)
             break;
         const double duration_s = recording.time_s[k + 1] - recording.time_s[k];
-        kernel.linearise(loaded.get(), recording, static_cast<int>(k), step_s, result.memory,
-                         x.data(), next.data(), moves.data());
+        kernel.linearise(loaded.get(), recording, static_cast<int>(k), step_s, moved, x.data(),
+                         next.data(), moves.data());
         for (int c = 0; c < q; ++c) {
             const int pushed = kernel.pushed_states()[c];
             push.col(c) = 0.5 * duration_s * moves.col(pushed);
@@ -216,14 +215,14 @@ Track track(const Kernel &kernel, const Recording &recording, const double *valu
         transition.topLeftCorner(n, n) = moves;
         transition.topRightCorner(n, q) = push;
         transition.bottomRightCorner(q, q).diagonal().setConstant(decay);
-        next(place) += push * estimate.tail(q);
-        mistiming = shown * (next - x)(place) * (std::sqrt(noise.timing_s2) / duration_s);
+        next(moved) += push * estimate.tail(q);
+        mistiming = shown * (next - x)(moved) * (std::sqrt(noise.timing_s2) / duration_s);
         for (std::size_t c = 0; c < 3 && !gone.empty(); ++c) {
             const long place = RobotLayout::kPose + static_cast<long>(c);
             gone[3 * (k + 1) + c] = gone[3 * k + c] + (next[place] - x[place]);
         }
         x = next;
-        estimate.head(n) = x(place);
+        estimate.head(n) = x(moved);
         estimate.tail(q) *= decay;
         std::copy(push.data(), push.data() + n * q, &result.push[k * n * q]);
         result.decay[k] = decay;

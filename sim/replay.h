@@ -79,7 +79,6 @@ struct Noise {
 };
 
 struct Track {
-    int filter_states = 0;
     std::vector<int> memory; /* that the filter corrects: its places behind the states */
     std::vector<double> gain, whitening;
     std::vector<double> state;               /* [row][filter state] after the measurements */
@@ -128,10 +127,10 @@ class Kernel {
     virtual void settle(const void *loaded, const Recording &recording, double *state) const = 0;
     /* Places of the memory that the filter corrects. */
     virtual std::vector<int> filtered_memory(const void *loaded) const = 0;
-    /* From row `row` to the next: next [states_and_memory], transition [moved][moved], where states
-     * and the `memory` are moved. */
+    /* From row `row` to the next: next [states_and_memory], transition [moved][moved]. `moved` are
+     * the places of states and filtered memory. */
     virtual void linearise(const void *loaded, const Recording &recording, int row, double step_s,
-                           const std::vector<int> &memory, const double *state, double *next,
+                           const std::vector<int> &moved, const double *state, double *next,
                            double *transition) const = 0;
     /* Whether the camera shows the pose of another moment than the row's: then the way gone up to
      * each row is wanted. */
@@ -139,7 +138,7 @@ class Kernel {
     /* In row `row`, state [states_and_memory]: output [outputs], slope [outputs][moved]. `gone`
      * [row][3]: the way of a robot up to each row (memory.h), or null. */
     virtual void linearise_output(const void *loaded, const Recording &recording, int row,
-                                  const std::vector<int> &memory, const double *gone,
+                                  const std::vector<int> &moved, const double *gone,
                                   const double *state, double *output, double *slope) const = 0;
     /* Derivatives of the states of one set at many points: states [points][states], commands
      * [points][motors], derivative [points][states]; time 0, memory settled. */

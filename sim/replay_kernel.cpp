@@ -7,7 +7,6 @@
  */
 #include <algorithm>
 #include <new>
-#include <numeric>
 
 #include "axis_plant.h"
 #include "integrator.h"
@@ -80,15 +79,19 @@ class KernelOf final : public Kernel {
             corrected = corrected + change;
             gain += kOutputs;
         };
-        for (int i = 0; i < kStates; ++i)
-            by_gain(x[i]);
-        for (const int place : track.memory)
-            by_gain(x[place]);
+        for_moved(track, x, by_gain);
         for (int c = 0; c < kPushes; ++c)
             by_gain(disturbance[c]);
     }
 
-    /* States and filtered memory. */
+    /* States and filtered memory, in turn; how many. */
+    template <class Work>
+    static void for_moved(const Track &track, S *x, Work &&work) {
+        for (int i = 0; i < kStates; ++i)
+            work(x[i]);
+        for (const int place : track.memory)
+            work(x[place]);
+    }
     static int moved_states(const Track &track) {
         return kStates + static_cast<int>(track.memory.size());
     }
@@ -102,10 +105,7 @@ class KernelOf final : public Kernel {
                     pushed = pushed + S(push[c]) * disturbance[c];
                 push += kPushes;
             };
-            for (int i = 0; i < kStates; ++i)
-                by_push(x[i]);
-            for (const int place : track.memory)
-                by_push(x[place]);
+            for_moved(track, x, by_push);
             for (int c = 0; c < kPushes; ++c)
                 disturbance[c] = disturbance[c] * S(track.decay[k]);
         }
@@ -320,10 +320,9 @@ class KernelOf final : public Kernel {
     }
 
     void linearise(const void *loaded_set, const Recording &recording, int row, double step_s,
-                   const std::vector<int> &memory, const double *state, double *next,
+                   const std::vector<int> &moved, const double *state, double *next,
                    double *transition) const override {
         const Loaded &loaded = *static_cast<const Loaded *>(loaded_set);
-        const std::vector<int> moved = places_of_moved(memory);
         const int n = static_cast<int>(moved.size());
         Internals in;
         for (int first = 0; first < n; first += kLanes - 1) {
@@ -346,10 +345,9 @@ class KernelOf final : public Kernel {
     }
 
     void linearise_output(const void *loaded_set, const Recording &recording, int row,
-                          const std::vector<int> &memory, const double *gone, const double *state,
+                          const std::vector<int> &moved, const double *gone, const double *state,
                           double *output, double *slope) const override {
         const Loaded &loaded = *static_cast<const Loaded *>(loaded_set);
-        const std::vector<int> moved = places_of_moved(memory);
         const int n = static_cast<int>(moved.size());
         for (int first = 0; first < n; first += kLanes - 1) {
             S x[kAll], y[kOutputs];
@@ -462,10 +460,14 @@ class KernelOf final : public Kernel {
 
     void likelihoods(const Recording &recording, const Track &track, const Noise *noises, int count,
                      double *log_likelihood, double *covariance) const override {
-        if (track.memory.empty())
-            likelihoods_with<0>(recording, track, noises, count, log_likelihood, covariance);
-        else
-            likelihoods_with<kMotors>(recording, track, noises, count, log_likelihood, covariance);
+        if constexpr (Plant::kKind == kRobot) {
+            if (!track.memory.empty()) {
+                likelihoods_with<kMotors>(recording, track, noises, count, log_likelihood,
+                                          covariance);
+                return;
+            }
+        }
+        likelihoods_with<0>(recording, track, noises, count, log_likelihood, covariance);
     }
 
   private:
@@ -665,13 +667,6 @@ class KernelOf final : public Kernel {
     }
 
     static constexpr double kProbe = 1e-5;
-
-    static std::vector<int> places_of_moved(const std::vector<int> &memory) {
-        std::vector<int> places(kStates);
-        std::iota(places.begin(), places.end(), 0);
-        places.insert(places.end(), memory.begin(), memory.end());
-        return places;
-    }
 
     /* Lane 0 of x [kAll] holds the state, lane j + 1 that with component moved[first + j] off by
      * the probe. */

@@ -119,12 +119,17 @@ MISTAKES = {
     "heading in degrees": (in_degrees, "degrees"),
     "heading upside down": (lambda g: times(g, POSE[2:], -1.0), "sign reversed"),
     "counts of quadrature": (lambda g: times(g, COUNTS, 4.0), "counts_per_rev"),
+    "gyro a little late": (
+        lambda g: later(g, ["gyro/z_rad_s"], 0.11),
+        "gyro/z_rad_s is 0.1",
+    ),
     "gyro late": (lambda g: later(g, ["gyro/z_rad_s"], 0.2), "gyro/z_rad_s is 0.2"),
     "gyro early": (lambda g: later(g, ["gyro/z_rad_s"], -0.2), "early against the encoders"),
     "gyro late, no camera": (
         lambda g: without(later(g, ["gyro/z_rad_s"], 0.3), POSE),
         "gyro/z_rad_s is 0.3",
     ),
+    "camera early": (lambda g: later(g, POSE, -0.11), "s early against the gyro"),
     "camera late": (lambda g: later(g, POSE, 0.3), "the pose is 0.3"),
     "camera clock fast": (lambda g: later(g, POSE, 0.0, 0.08), "clocks apart by"),
     "counter of 12 bit": (lambda g: wrapped(g, 12), "wrap at 12 bit"),

@@ -18,6 +18,7 @@ from omnislip.gap.noise import (
     STEP_S,
     Noise,
     RunawayError,
+    _Path,
     judging_noise,
     some_runs,
     track_all,
@@ -103,6 +104,17 @@ def test_noise_is_tuned_on_the_calmest_and_the_liveliest_of_many_runs(robot):
     chosen = [one.name for one in some_runs(runs)]
     assert 6 <= len(chosen) <= 7
     assert {"0.1", "1.0"} < set(chosen)
+
+
+def test_covariances_that_are_lost_in_rounding_end_the_climb(robot, monkeypatch):
+    """The noise is what it was; nobody sees a trace."""
+
+    def lost(self, logs):
+        raise np.linalg.LinAlgError
+
+    monkeypatch.setattr(_Path, "climb", lost)
+    tuned = tune_noise(robot.machine, robot.runs, robot.machine.believed, robot.noise)
+    np.testing.assert_array_equal(tuned.logs, robot.noise.logs)
 
 
 # ---- likelihoods along a path ----

@@ -258,18 +258,18 @@ static void rows_slope_is_the_plants(const RobotModel &model, std::size_t rememb
     TEST_ASSERT_EQUAL_size_t(remembered, memory.size());
     using Whole = std::array<double, RobotLayout::kAll>;
     Whole start = {120.0, -80.0, 60.0, -30.0, 1.0, 2.0, 3.0, 4.0, 0.7, -0.3, 1.2, 0.5, 0.6, 0.7};
-    std::vector<std::size_t> places(RobotLayout::kStates);
-    std::iota(places.begin(), places.end(), std::size_t{0});
+    std::vector<int> moved(RobotLayout::kStates);
+    std::iota(moved.begin(), moved.end(), 0);
     for (const int place : memory) {
-        start[static_cast<std::size_t>(place)] = 0.1 * static_cast<double>(places.size() - 16);
-        places.push_back(static_cast<std::size_t>(place));
+        start[static_cast<std::size_t>(place)] = 0.1 * (place - RobotLayout::kGrip - 2);
+        moved.push_back(place);
     }
     const Robot::Command duty = {0.5, -0.2, 0.4, 0.1};
     const std::vector<double> begin_s = {0.0};
     const Robot robot(model);
-    const auto reached = [&](std::size_t place, double offset) {
+    const auto reached = [&](int place, double offset) {
         Whole x = start;
-        x[place] += offset;
+        x[static_cast<std::size_t>(place)] += offset;
         RobotInternals<double> in{};
         const LoggedCommands<RobotPlant<double>> log(robot.plant, begin_s.data(), duty.data(), 0);
         advance(robot.plant, x.data(), log, 0.0, 0.005, kStep_s, robot.plant.fastest_rate_1_s(),
@@ -279,17 +279,17 @@ static void rows_slope_is_the_plants(const RobotModel &model, std::size_t rememb
     Recording row;
     row.time_s = {0.0, 0.005};
     row.command.assign(duty.begin(), duty.end());
-    const std::size_t moved = places.size();
+    const std::size_t n = moved.size();
     Whole next;
-    std::vector<double> transition(moved * moved);
-    kernel->linearise(loaded.get(), row, 0, kStep_s, memory, start.data(), next.data(),
+    std::vector<double> transition(n * n);
+    kernel->linearise(loaded.get(), row, 0, kStep_s, moved, start.data(), next.data(),
                       transition.data());
-    for (std::size_t j = 0; j < moved; ++j) {
-        const Whole up = reached(places[j], 1e-4), down = reached(places[j], -1e-4);
-        for (std::size_t i = 0; i < moved; ++i) {
-            const double slope = (up[places[i]] - down[places[i]]) / 2e-4;
-            TEST_ASSERT_DOUBLE_WITHIN(1e-3 * (1.0 + std::abs(slope)), slope,
-                                      transition[i * moved + j]);
+    for (std::size_t j = 0; j < n; ++j) {
+        const Whole up = reached(moved[j], 1e-4), down = reached(moved[j], -1e-4);
+        for (std::size_t i = 0; i < n; ++i) {
+            const std::size_t place = static_cast<std::size_t>(moved[i]);
+            const double slope = (up[place] - down[place]) / 2e-4;
+            TEST_ASSERT_DOUBLE_WITHIN(1e-3 * (1.0 + std::abs(slope)), slope, transition[i * n + j]);
         }
     }
 }

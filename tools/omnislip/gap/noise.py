@@ -21,7 +21,7 @@ from omnislip.gap.recordings import Run
 
 Array = npt.NDArray[np.float64]
 
-SHAFT, BODY, YAW = slice(0, 4), slice(8, 10), 10
+SHAFT, BODY, YAW, DISTURBANCES = slice(0, 4), slice(8, 10), 10, slice(-7, None)
 GYRO, POSE_XY, HEADING, SUPPLY, CURRENT = 4, slice(5, 7), 7, 8, slice(9, 13)
 COLOUR_RATE = 11
 """Place of the disturbances' rate among the logarithms of a robot."""

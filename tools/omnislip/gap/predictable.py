@@ -37,7 +37,7 @@ from threadpoolctl import threadpool_limits
 from omnislip import _core
 from omnislip.gap.answers import foreseen, lead_rows
 from omnislip.gap.machine import Machine
-from omnislip.gap.noise import Noise, track_all
+from omnislip.gap.noise import DISTURBANCES, Noise, track_all
 from omnislip.gap.recordings import Run
 from omnislip.gap.side_by_side import side_by_side
 
@@ -49,7 +49,6 @@ EQUATIONS = (
     "body/force_y",
     "body/moment",
 )
-DISTURBANCES = slice(-7, None)
 ROW_S = 0.01
 """Disturbances last some 10 ms: rows nearer than that tell the same."""
 FOLDS = 4

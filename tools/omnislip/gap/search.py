@@ -870,11 +870,12 @@ class _Ahead:
         """
         current, runs = self._current.hypothesis, self._data.runs
         if candidate.effect == DELAY:
-            unit = max(run.row_s for run in runs)
-            sizes = unit * np.array(FAR_DELAYS_ROWS)
+            row_s = max(run.row_s for run in runs)
+            sizes, apart, apart_share = row_s * np.array(FAR_DELAYS_ROWS), row_s, 0.0
         else:
             first, factor, count = FAR_SIZES[candidate.effect]
             sizes = candidate.parameters[0].scale * first * factor ** np.arange(count)
+            apart, apart_share = 0.0, factor - 1.0
         sizes = sizes[sizes <= candidate.parameters[0].high]
         shapes = [list(start.values()) for start in candidate.starts]
 
@@ -895,7 +896,7 @@ class _Ahead:
             return None
         for share in FAR_STEPS:
             size, *shape = best.model.values_of(-1)
-            step = share * (unit if candidate.effect == DELAY else size * (factor - 1.0))
+            step = share * (apart + apart_share * size)
             beside = likeliest([[size - step, *shape], [size + step, *shape]], runs)
             best = max(best, beside, key=lambda one: one.likelihood)
         if best.model.values_of(-1)[0] < sizes[0]:

@@ -22,7 +22,7 @@ from scipy.stats import chi2
 
 from omnislip.gap.inference import Data, Fit, check_columns, free_of_fitted, inflation_of
 from omnislip.gap.machine import Machine
-from omnislip.gap.noise import track_all
+from omnislip.gap.noise import DISTURBANCES, track_all
 from omnislip.gap.recordings import Run
 from omnislip.gap.search import Outcome
 
@@ -37,8 +37,6 @@ PEAK = 12.0
 1 %)."""
 SLOW_SHARE, SLOW_RAD_S = 0.02, 2.0
 SHAFT_TORQUE = "torque"
-DISTURBANCES = -7
-"""First of the filter's states of a robot that are disturbances (noise.py)."""
 P_VALUE = 1e-6
 """Over all pairs of equation and quantity."""
 PAIR_PENALTY = 3.0
@@ -251,7 +249,7 @@ class _Study:
         spectra = []
         for run, state in self._states():
             turn = np.exp(-2j * np.pi * np.outer(frequencies_hz, run.time_s))
-            seen = state[:, [DISTURBANCES + one.motor for one in members]]
+            seen = state[:, DISTURBANCES][:, [one.motor for one in members]]
             weights = [weight(state, run.command, run.time_s, one.motor) for one in members]
             spectra.append((turn @ (np.stack(weights, axis=1) * (seen - seen.mean(axis=0)))).T)
         return np.stack(spectra)
