@@ -74,7 +74,13 @@ class AxisPlant {
                       c_.load_share[0], inertia_);
         delays_ = any_differs(c_.delay_s, 1, 0.0);
         soft_ = any_differs(c_.play_rad, 1, 0.0) || any_differs(c_.stiffness_nm_rad, 1, kUnbounded);
-        remembers_ = soft_ || any_differs(c_.driver_lag_s, 1, 0.0);
+        lags_ = any_differs(c_.driver_lag_s, 1, 0.0);
+        per_driver_lag_s_ = Relaxation<S>::per(c_.driver_lag_s[0]);
+        memory_.clear();
+        if (lags_)
+            memory_.add(kCommanded, 1);
+        if (soft_)
+            memory_.add(kSlack, 2);
     }
 
     /* The driver over a step from x [kAll] under a constant command. */
@@ -91,11 +97,11 @@ class AxisPlant {
             inputs.at[kInD] = term.duty;
             user_.add(UserTarget::kDuty, inputs, 1, &step.command);
         }
-        if (!remembers_)
-            return;
         step.length_s = length_s;
         step.inverse_s = length_s > 0.0 ? 1.0 / length_s : 0.0;
-        const auto driver = Relaxation<S>::over(S(length_s), c_.driver_lag_s[0]);
+        if (!lags_)
+            return;
+        const auto driver = Relaxation<S>::over(S(length_s), per_driver_lag_s_);
         const S ahead = step.command - x[kCommanded];
         step.command_rate_1_s = driver.gained * S(step.inverse_s) * ahead;
         step.command = step.command - driver.left * ahead;
@@ -111,10 +117,8 @@ class AxisPlant {
         in.friction = friction(x, in.force, max(abs(in.force), abs(gravity)), time_s);
         dx[0] = (in.force + in.friction - gravity) / inertia_;
         dx[1] = x[0];
-        if (!remembers_)
-            return;
-        dx[kCommanded] = step.command_rate_1_s;
-        dx[kSlack] = dx[kTwist] = S(0.0);
+        if (lags_)
+            dx[kCommanded] = step.command_rate_1_s;
         if (soft_)
             twist_gear(x, step, in, dx);
     }
@@ -140,7 +144,10 @@ class AxisPlant {
         return c_;
     }
     bool remembers() const {
-        return remembers_;
+        return lags_ || soft_;
+    }
+    const MemoryPlaces<kAll - kStates> &memory() const {
+        return memory_;
     }
     bool delays() const {
         return delays_;
@@ -158,6 +165,7 @@ class AxisPlant {
         const S road = gravity_at(x[1] - x[kTwist]);
         if (step.length_s == kForever_s) {
             dx[kTwist] = gear_.settled_twist(motor, road, dx[0]) * S(step.inverse_s);
+            dx[kSlack] = S(0.0);
         } else {
             gear_.accelerate(motor, road, x[kTwist], x[kSlack], dx[0], dx[kSlack]);
             dx[kTwist] = -x[kSlack];
@@ -203,7 +211,9 @@ class AxisPlant {
     Constants<S, 1> c_;
     S inertia_, input_gain_, back_emf_, gravity_torque_;
     SoftGear<S> gear_;
-    bool delays_ = false, remembers_ = false, soft_ = false, hangs_ = false;
+    S per_driver_lag_s_;
+    MemoryPlaces<kAll - kStates> memory_;
+    bool delays_ = false, lags_ = false, soft_ = false, hangs_ = false;
     UserTerms<S, 1> user_;
     ActiveEffects<S, kMotors, kAxis> active_;
 };

@@ -884,14 +884,23 @@ struct ContactShape : Effect {
          {"roller", "1", 0.0, -0.5, 1.5, 0.5}}};
     template <class S, int N>
     static void contact(ContactTerm<S, N> &c, const Values<S> &p) {
+        const bool across = used(p(4)), root = used(p(2));
         for (int i = 0; i < N; ++i) {
-            c.shape[i] = c.shape[i] + change(c.shape[i], c.scaled_slip[i], p);
-            const S across = change(c.roller_shape[i], c.scaled_roller[i], p);
-            c.roller_shape[i] = c.roller_shape[i] + p(4) * across;
+            c.shape[i] = c.shape[i] + change(c.shape[i], c.scaled_slip[i], p, root);
+            if (across) {
+                const S more = change(c.roller_shape[i], c.scaled_roller[i], p, root);
+                c.roller_shape[i] = c.roller_shape[i] + p(4) * more;
+            }
         }
     }
+    /* Most laws have one share: the elementary functions of the others would be most of a step. */
     template <class S>
-    static S change(const S &shape, const S &scaled_slip, const Values<S> &p) {
+    static bool used(const S &share) {
+        using std::abs;
+        return any_above(abs(share), 0.0);
+    }
+    template <class S>
+    static S change(const S &shape, const S &scaled_slip, const Values<S> &p, bool root) {
         using std::abs;
         using std::exp;
         using std::sqrt;
@@ -899,11 +908,11 @@ struct ContactShape : Effect {
         const S left = S(1.0) - size * S(1.0 / 3.0);
         const S sticking = select(left > S(0.0), left, S(0.0));
         const S decay = exp(-size), twice = decay * decay;
-        const S root = x / sqrt(S(1.0) + x * x);
         const S even = p(0) * (S(1.0) - twice) / (S(1.0) + twice) +
                        p(1) * (S(1.0) - sticking * sticking * sticking) + p(3) * (S(1.0) - decay);
         const S shares = p(0) + p(1) + p(2) + p(3);
-        return select(x < S(0.0), -even, even) + p(2) * root - shares * shape;
+        const S odd = select(x < S(0.0), -even, even) - shares * shape;
+        return root ? odd + p(2) * x / sqrt(S(1.0) + x * x) : odd;
     }
 };
 

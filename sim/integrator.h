@@ -53,46 +53,51 @@ template <class Plant>
 constexpr int kStatesInLots<Plant, std::void_t<decltype(Plant::kStatesInLots)>> =
     Plant::kStatesInLots;
 
-/* Calls `update` for all of the n states: for those that the plant reads and writes in lots of
- * wheels with such a lot, for each other one by itself. A register that is read right after it was
- * written in parts would have to wait until these have left for the cache. */
-template <class S, class Plant, int n, class Update>
-void for_each_state(Update &&update) {
+/* Calls `update` for the first n states and, `kMemory`, for what of its memory the plant uses: for
+ * states that the plant reads and writes in lots of wheels with such a lot, for each other one by
+ * itself. A register that is read right after it was written in parts would have to wait until
+ * these have left for the cache. */
+template <class S, int n, bool kMemory, class Plant, class Update>
+void for_each_state(const Plant &plant, Update &&update) {
     constexpr int in_lots = std::min(n, kStatesInLots<Plant>);
     for (int i = 0; i < in_lots; i += LotOf<S>::kWheels)
         update(LotAt<S>{i});
     for (int i = in_lots; i < n; ++i)
         update(OneAt<S>{i});
+    if constexpr (kMemory) {
+        for (const int place : plant.memory())
+            update(OneAt<S>{place});
+    }
 }
 
-/* A rule finishes a step of the first n states whose first derivative k is known; k is used up.
- * `room`: states that the plant could touch if it had a memory in use, for compilers that check
- * bounds. */
+/* A rule finishes a step of the first n states, and of the memory in use if `kMemory`, whose first
+ * derivative k is known; k is used up. `room`: states that the plant could touch if it had a memory
+ * in use, for compilers that check bounds. */
 
 /* Kutta's classical rule: order 4, four derivatives. */
 struct Rk4 {
-    template <int n, int room, class Plant, class S, class Step, class Internals>
+    template <int n, int room, bool kMemory, class Plant, class S, class Step, class Internals>
     static void finish(S *k, const Plant &plant, S *x, const Step &step, double time_s, double h,
                        Internals &in) {
         const S half(0.5 * h), full(h), sixth(h / 6.0), third(h / 3.0);
         const S middle(time_s + 0.5 * h), end(time_s + h);
-        S sum[n], probe[room] = {};
-        for_each_state<S, Plant, n>([&](auto at) {
+        S sum[room], probe[room] = {};
+        for_each_state<S, n, kMemory>(plant, [&](auto at) {
             at.put(at(x) + sixth * at(k), sum);
             at.put(at(x) + half * at(k), probe);
         });
         plant.derivative(probe, step, middle, k, in);
-        for_each_state<S, Plant, n>([&](auto at) {
+        for_each_state<S, n, kMemory>(plant, [&](auto at) {
             at.put(at(sum) + third * at(k), sum);
             at.put(at(x) + half * at(k), probe);
         });
         plant.derivative(probe, step, middle, k, in);
-        for_each_state<S, Plant, n>([&](auto at) {
+        for_each_state<S, n, kMemory>(plant, [&](auto at) {
             at.put(at(sum) + third * at(k), sum);
             at.put(at(x) + full * at(k), probe);
         });
         plant.derivative(probe, step, end, k, in);
-        for_each_state<S, Plant, n>([&](auto at) { at.put(at(sum) + sixth * at(k), x); });
+        for_each_state<S, n, kMemory>(plant, [&](auto at) { at.put(at(sum) + sixth * at(k), x); });
     }
 };
 
@@ -100,43 +105,44 @@ struct Rk4 {
  * leaves out z^5 / 120 - z^5 / 144, a sixth of what Rk4 leaves: about as exact as two steps of Rk4
  * of half the length, with five derivatives in place of eight. */
 struct Merson {
-    template <int n, int room, class Plant, class S, class Step, class Internals>
+    template <int n, int room, bool kMemory, class Plant, class S, class Step, class Internals>
     static void finish(S *k, const Plant &plant, S *x, const Step &step, double time_s, double h,
                        Internals &in) {
         const S third(time_s + h / 3.0), middle(time_s + 0.5 * h), end(time_s + h);
         const S full(h), to_third(h / 3.0), sixth(h / 6.0);
-        S first[n], early[n], probe[room] = {};
-        for_each_state<S, Plant, n>([&](auto at) {
+        S first[room], early[room], probe[room] = {};
+        for_each_state<S, n, kMemory>(plant, [&](auto at) {
             at.put(at(k), first);
             at.put(at(x) + to_third * at(k), probe);
         });
         plant.derivative(probe, step, third, k, in);
-        for_each_state<S, Plant, n>(
-            [&](auto at) { at.put(at(x) + sixth * (at(first) + at(k)), probe); });
+        for_each_state<S, n, kMemory>(
+            plant, [&](auto at) { at.put(at(x) + sixth * (at(first) + at(k)), probe); });
         plant.derivative(probe, step, third, k, in);
-        for_each_state<S, Plant, n>([&](auto at) {
+        for_each_state<S, n, kMemory>(plant, [&](auto at) {
             at.put(at(k), early);
             at.put(at(x) + S(0.125) * full * at(first) + S(0.375) * full * at(k), probe);
         });
         plant.derivative(probe, step, middle, k, in);
-        for_each_state<S, Plant, n>([&](auto at) {
+        for_each_state<S, n, kMemory>(plant, [&](auto at) {
             at.put(at(x) + S(0.5) * full * at(first) - S(1.5) * full * at(early) +
                        S(2.0) * full * at(k),
                    probe);
             at.put(at(x) + sixth * at(first) + S(4.0) * sixth * at(k), x);
         });
         plant.derivative(probe, step, end, k, in);
-        for_each_state<S, Plant, n>([&](auto at) { at.put(at(x) + sixth * at(k), x); });
+        for_each_state<S, n, kMemory>(plant, [&](auto at) { at.put(at(x) + sixth * at(k), x); });
     }
 };
 
-/* One step of the first n states. */
-template <class Rule, int n, int room = n, class Plant, class S, class Step, class Internals>
+/* One step of the first n states, and of the memory in use if `kMemory`. */
+template <class Rule, int n, int room = n, bool kMemory = false, class Plant, class S, class Step,
+          class Internals>
 inline void take_step(const Plant &plant, S *x, const Step &step, double time_s, double h,
                       Internals &in) {
     S k[room];
     plant.derivative(x, step, S(time_s), k, in);
-    Rule::template finish<n, room>(k, plant, x, step, time_s, h, in);
+    Rule::template finish<n, room, kMemory>(k, plant, x, step, time_s, h, in);
 }
 
 /* What a step begins with, of a plant without memory or delay: it is the same for any length. */
@@ -160,17 +166,19 @@ inline void advance(const Plant &plant, S *x, const Commands &commands, double t
     for (int i = 0; i < steps; ++i) {
         const double begin_s = time_s + i * h;
         if (i == 0 && begun != nullptr) {
-            Rule::template finish<Plant::kStates, Plant::kAll>(begun->derivative, plant, x,
-                                                               begun->step, begin_s, h, in);
+            Rule::template finish<Plant::kStates, Plant::kAll, false>(begun->derivative, plant, x,
+                                                                      begun->step, begin_s, h, in);
             continue;
         }
         commands(begin_s, begin_s + h, command);
         plant.begin_step(x, command, h, step);
-        if (plant.remembers()) {
-            take_step<Rule, Plant::kAll>(plant, x, step, begin_s, h, in);
-        } else {
-            take_step<Rule, Plant::kStates, Plant::kAll>(plant, x, step, begin_s, h, in);
+        if constexpr (Plant::kAll > Plant::kStates) {
+            if (plant.remembers()) {
+                take_step<Rule, Plant::kStates, Plant::kAll, true>(plant, x, step, begin_s, h, in);
+                continue;
+            }
         }
+        take_step<Rule, Plant::kStates, Plant::kAll>(plant, x, step, begin_s, h, in);
     }
 }
 
@@ -200,14 +208,16 @@ template <class Plant, class S, class Internals>
 inline void settle(const Plant &plant, S *x, const S *command, double time_s, Internals &in) {
     for (int i = Plant::kStates; i < Plant::kAll; ++i)
         x[i] = S(0.0);
-    if (!plant.remembers())
-        return;
-    typename Plant::Step step;
-    S dx[Plant::kAll];
-    plant.begin_step(x, command, kForever_s, step);
-    plant.derivative(x, step, S(time_s), dx, in);
-    for (int i = Plant::kStates; i < Plant::kAll; ++i)
-        x[i] = dx[i] * S(kForever_s);
+    if constexpr (Plant::kAll > Plant::kStates) {
+        if (!plant.remembers())
+            return;
+        typename Plant::Step step;
+        S dx[Plant::kAll];
+        plant.begin_step(x, command, kForever_s, step);
+        plant.derivative(x, step, S(time_s), dx, in);
+        for (const int place : plant.memory())
+            x[place] = dx[place] * S(kForever_s);
+    }
 }
 
 }  // namespace OMNISLIP_INSTRUCTION_SET

@@ -79,25 +79,64 @@ void forget(Constants<S, N> &c) {
     }
 }
 
+/* Places in a state of the memory that a model uses. */
+template <int kMost>
+class MemoryPlaces {
+  public:
+    void add(int first, int count) {
+        for (int i = 0; i < count; ++i)
+            places_[count_++] = first + i;
+    }
+    void clear() {
+        count_ = 0;
+    }
+    const int *begin() const {
+        return places_;
+    }
+    const int *end() const {
+        return places_ + count_;
+    }
+
+  private:
+    int places_[kMost], count_ = 0;
+};
+
 template <class S>
 struct Relaxation {
     S gained, left;
 
-    /* Step over time constant; 0 / 0 is an instant without a lag and counts as reached. */
-    static Relaxation over(const S &length, const S &constant) {
+    /* One over a time constant or length, large where there is none. */
+    static S per(const S &constant) {
+        using std::max;
+        return S(1.0) / max(constant, S(kLeast));
+    }
+
+    /* Step times one over the constant; an instant without a lag counts as reached. Short steps,
+     * most of them, by the series of left = sum (-lengths)^k / (k + 1)!, to the last digit. */
+    static Relaxation over(const S &length, const S &per_constant) {
         using std::expm1;
         using std::max;
         using std::min;
-        const S lengths = min(length / max(constant, S(1e-200)), S(1e100));
+        const S lengths = min(length * per_constant, S(1e100));
+        const auto lags = per_constant < S(1.0 / kLeast);
+        if (!any_above(lengths, 0.5)) {
+            S left = S(1.0);
+            for (int k = 14; k > 1; --k)
+                left = S(1.0) - lengths * S(1.0 / k) * left;
+            return {lengths * left, select(lags, left, S(0.0))};
+        }
         const S gained = -expm1(-lengths);
         const S left = select(lengths > S(0.0), gained / max(lengths, S(1e-300)), S(1.0));
-        return {gained, select(constant > S(0.0), left, S(0.0))};
+        return {gained, select(lags, left, S(0.0))};
     }
 
     /* The same without a lag in any lane, which is cheaper. */
     static Relaxation at_once(double length_s) {
         return {S(length_s > 0.0 ? 1.0 : 0.0), S(0.0)};
     }
+
+  private:
+    static constexpr double kLeast = 1e-200;
 };
 
 template <class S>

@@ -120,9 +120,6 @@ class OdometryPlant {
     const Constants<S, kMotors> &constants() const {
         return c_;
     }
-    bool remembers() const {
-        return false;
-    }
     bool shifts_time() const {
         return any_lane_differs(c_.pose_delay_s, 0.0) || any_lane_differs(c_.clock_fraction, 0.0);
     }

@@ -255,6 +255,9 @@ class RobotPlant : public RobotLayout {
     bool remembers() const {
         return remembers_;
     }
+    const MemoryPlaces<kAll - kStates> &memory() const {
+        return memory_;
+    }
     bool delays() const {
         return delays_;
     }
@@ -352,30 +355,51 @@ class RobotPlant : public RobotLayout {
         soft_ = any_differs(c_.play_rad, 4, 0.0) || any_differs(c_.stiffness_nm_rad, 4, kUnbounded);
         heats_ = any_differs(c_.heating_1_a2_s, 4, 0.0);
         lags_ = any_differs(c_.driver_lag_s, 4, 0.0);
-        remembers_ = lags_ || inductive_ || heats_ || bristles_ || soft_;
+        memory_.clear();
+        remember(lags_, kDrivenDuty);
+        remember(inductive_, kCoilCurrent);
+        remember(heats_, kHeat);
+        remember(bristles_, kGrip);
+        remember(soft_, kSlack);
+        remember(soft_, kTwist);
+        remembers_ = memory_.begin() != memory_.end();
+        for (int i = 0; i < 4; ++i) {
+            per_driver_lag_s_[i] = Relaxation<S>::per(c_.driver_lag_s[i]);
+            per_bristle_m_[i] = Relaxation<S>::per(c_.bristle_length_m[i]);
+        }
+    }
+
+    void remember(bool used, int first) {
+        if (used)
+            memory_.add(first, 4);
     }
 
     /* The part of begin_step that needs the memory. */
     void recall(const S *x, double length_s, Step &step) const {
         step.length_s = length_s;
         step.inverse_s = length_s > 0.0 ? 1.0 / length_s : 0.0;
+        for (int i = 0; lags_ && i < 4; ++i) {
+            const auto driver = Relaxation<S>::over(S(length_s), per_driver_lag_s_[i]);
+            const S ahead = step.duty[i] - x[kDrivenDuty + i];
+            step.duty_rate_1_s[i] = driver.gained * S(step.inverse_s) * ahead;
+            step.duty[i] = step.duty[i] - driver.left * ahead;
+        }
+        if (inductive_)
+            recall_currents(x, length_s, step);
+        for (int i = 0; bristles_ && i < 4; ++i)
+            step.grip[i] = x[kGrip + i];
+    }
+
+    void recall_currents(const S *x, double length_s, Step &step) const {
         S conductance_s[4];
         for (int i = 0; i < 4; i += kLot)
             put(warm_conductance_s(x, i), conductance_s + i);
         for (int i = 0; i < 4; ++i) {
-            const S *begin = x + i;
-            const auto driver = lags_ ? Relaxation<S>::over(S(length_s), c_.driver_lag_s[i])
-                                      : Relaxation<S>::at_once(length_s);
-            const S ahead = step.duty[i] - begin[kDrivenDuty];
-            step.duty_rate_1_s[i] = driver.gained * S(step.inverse_s) * ahead;
-            step.duty[i] = step.duty[i] - driver.left * ahead;
-            const auto coil =
-                inductive_ ? Relaxation<S>::over(S(length_s), c_.inductance_h[i] * conductance_s[i])
-                           : Relaxation<S>::at_once(length_s);
+            const S constant_s = c_.inductance_h[i] * conductance_s[i];
+            const auto coil = Relaxation<S>::over(S(length_s), Relaxation<S>::per(constant_s));
             step.coil_gained[i] = coil.gained;
             step.coil_left[i] = coil.left;
-            step.current_a[i] = begin[kCoilCurrent];
-            step.grip[i] = begin[kGrip];
+            step.current_a[i] = x[kCoilCurrent + i];
         }
     }
 
@@ -390,22 +414,23 @@ class RobotPlant : public RobotLayout {
     /* Derivatives of the memory, and of the shafts where a gear is soft. */
     void memorise(const S *x, const Step &step, const RobotInternals<S> &in, const S *radius_m,
                   const S *grip_rate, S *dx) const {
-        const bool settles = step.length_s == kForever_s;
-        S steady_a[4];
-        for (int i = 0; i < 4; i += kLot)
-            put(steady_current_a(i, x + kSpeed, step, in), steady_a + i);
-        for (int i = 0; i < 4; ++i) {
-            const S rate_1_s = step.coil_gained[i] * S(step.inverse_s);
+        for (int i = 0; lags_ && i < 4; ++i)
+            dx[kDrivenDuty + i] = step.duty_rate_1_s[i];
+        for (int i = 0; inductive_ && i < 4; i += kLot) {
+            const Lot behind_a =
+                steady_current_a(i, x + kSpeed, step, in) - lot(step.current_a + i);
+            put(lot(step.coil_gained + i) * Lot(S(step.inverse_s)) * behind_a,
+                dx + kCoilCurrent + i);
+        }
+        for (int i = 0; heats_ && i < 4; ++i) {
             const S heating =
                 in.current_a[i] * in.current_a[i] - x[kHeat + i] * S(1.0 / kCoolingTime_s);
-            dx[kDrivenDuty + i] = step.duty_rate_1_s[i];
-            dx[kCoilCurrent + i] = rate_1_s * (steady_a[i] - step.current_a[i]);
-            dx[kHeat + i] = settles ? S(0.0) : heating;
-            dx[kGrip + i] = bristles_ ? grip_rate[i] : S(0.0);
-            dx[kSlack + i] = dx[kTwist + i] = S(0.0);
-            if (soft_)
-                twist_gear(i, x, step, in, radius_m[i] * in.drive_force_n[i], dx);
+            dx[kHeat + i] = step.length_s == kForever_s ? S(0.0) : heating;
         }
+        for (int i = 0; bristles_ && i < 4; ++i)
+            dx[kGrip + i] = grip_rate[i];
+        for (int i = 0; soft_ && i < 4; ++i)
+            twist_gear(i, x, step, in, radius_m[i] * in.drive_force_n[i], dx);
     }
 
     void twist_gear(int i, const S *x, const Step &step, const RobotInternals<S> &in,
@@ -415,6 +440,7 @@ class RobotPlant : public RobotLayout {
         if (step.length_s == kForever_s) {
             dx[kTwist + i] =
                 gear_[i].settled_twist(motor_nm, road_nm, acceleration) * S(step.inverse_s);
+            dx[kSlack + i] = S(0.0);
         } else {
             gear_[i].accelerate(motor_nm, road_nm, x[kTwist + i], x[kSlack + i], acceleration,
                                 dx[kSlack + i]);
@@ -636,7 +662,7 @@ class RobotPlant : public RobotLayout {
                 share > S(1e-9), abs(in.slip_m_s[i]) / max(share, S(1e-9)), S(1.0) / at_rest);
             const S pace_m_s = slip_per_share + c_.bristle_rolling[i] * abs(in.hub_speed_m_s[i]);
             const auto bristle =
-                Relaxation<S>::over(S(step.length_s) * pace_m_s, c_.bristle_length_m[i]);
+                Relaxation<S>::over(S(step.length_s) * pace_m_s, per_bristle_m_[i]);
             const S ahead = shape[i] - step.grip[i];
             rate[i] = bristle.gained * S(step.inverse_s) * ahead;
             shape[i] = shape[i] - bristle.left * ahead;
@@ -907,6 +933,8 @@ class RobotPlant : public RobotLayout {
     bool load_moves_ = false, off_centre_ = false, bus_sags_ = false;
     S per_mass_, per_inertia_, per_gear_ratio_, per_shaft_inertia_[4], conductance_s_;
     SoftGear<S> gear_[4];
+    S per_driver_lag_s_[4], per_bristle_m_[4];
+    MemoryPlaces<kAll - kStates> memory_;
     bool delays_ = false, remembers_ = false, lags_ = false, inductive_ = false;
     bool heats_ = false, bristles_ = false, soft_ = false, shows_late_ = false;
 };
