@@ -18,12 +18,14 @@ from omnislip.gap.events import (
 )
 from omnislip.gap.inference import Data
 from omnislip.gap.machine import Machine
-from omnislip.gap.noise import tune_noise
+from omnislip.gap.noise import track_all, tune_noise
 from omnislip.gap.recordings import make_run
 from omnislip.gap.search import believed_hypothesis, first_model
 from omnislip.gap.truth import TruthCase, write_case
 from omnislip.log_file import POSE_COLUMNS, Log, read_log
-from omnislip.model_file import NOMINAL_ROBOT, read_model, write_model
+from omnislip.model_file import IMPACT_KEYS, NOMINAL_ROBOT, Effect, read_model, write_model
+from omnislip.scenario import Scenario, Sensors
+from omnislip.simulate import make_log, simulate_truth
 from truth_bench import logs_of
 
 PUSHES = [(1.5, -1.0, 0.0), (-0.5, 6.0, 0.1)]
@@ -75,6 +77,41 @@ def test_a_push_after_which_wheels_slide_is_found(tmp_path, monkeypatch):
 @pytest.mark.parametrize("curve", ["atan", "tanh"])
 def test_driving_hard_is_no_push(tmp_path, curve):
     assert found_in(tmp_path, friction_curve=curve) == []
+
+
+@pytest.mark.parametrize(("share", "push"), [(0.5, None), (1.0, None), (0.0, (1.5, 1.5, 0.0))])
+def test_a_jump_of_the_command_at_another_time_within_a_row_is_no_push(share, push):
+    """Reversals; in the row before one of them the log shows a share of what comes after it."""
+    model, ways = read_model(NOMINAL_ROBOT), np.array([-1.0, 1.0, 1.0, -1.0])
+    reversals = [
+        {"t_s": float(n), "kind": "duty", "value": (0.5 * (-1) ** n * ways).tolist()}
+        for n in range(5)
+    ]
+    numbers = dict(zip(IMPACT_KEYS, (3.002, *(push or ())), strict=False))
+    hidden = [Effect("impact", numbers, run="run")] if push else []
+    scenario = Scenario(
+        "run", 5.0, replace(model, effects=hidden), reversals, sensors=Sensors(), seed=1
+    )
+    log = make_log(scenario, simulate_truth(scenario))
+    columns = dict(log.columns)
+    for name in [f"wheel/{wheel}/duty" for wheel in range(1, 5)]:
+        duty = columns[name].copy()
+        row = int(np.flatnonzero(np.abs(np.diff(duty)) > 0.4)[2])
+        duty[row] += share * (duty[row + 1] - duty[row])
+        columns[name] = duty
+    machine = Machine(model)
+    run = make_run(machine, replace(log, columns=columns))
+    noise = tune_noise(machine, [make_run(machine, log)], machine.believed)
+    [track] = track_all(machine, [run], machine.believed, noise)
+    row = int(np.searchsorted(run.t_s, 3.002))
+    filtered = track.state.reshape(len(run.t_s), -1)
+    window = events._Window(machine, run, row, machine.believed, noise, filtered)
+    least = window.least_without_push()
+    if push is None:
+        assert window.quiet > 100.0
+        assert least < 0.1 * window.quiet
+    else:
+        assert least > 0.5 * window.quiet > 50.0
 
 
 def test_what_begins_while_wheels_slide_begins_with_no_push():

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from omnislip.gap import find
 from omnislip.gap.events import Impact
 from omnislip.gap.find import find_gap, to_json
-from omnislip.gap.gates import _lag_s, check, logged_set_points, too_poor
+from omnislip.gap.gates import _lag_s, _speed_per_duty, check, logged_set_points, too_poor
 from omnislip.gap.machine import Machine
 from omnislip.gap.truth import TruthCase, write_case
 from omnislip.gap.truth_effects import HiddenEffect, typical_effect
@@ -437,6 +437,24 @@ def test_of_two_logs_of_two_robots_none_is_blamed():
 def test_logs_of_one_robot_are_of_one_robot():
     logs = [drive(f"run_{k}", seed=k, scale=0.3 + 0.2 * k) for k in range(4)]
     assert check(MACHINE, logs).complaint is None
+
+
+def test_wheels_that_turn_faster_in_other_manoeuvres_are_of_the_same_robot():
+    """Weak motors that push over rollers which brake: those that spin the robot have less to do."""
+    weak = {"motor.resistance_ohm": 6.0, "contact.mu_roller": 0.1}
+    model = replace(MODEL, values=MODEL.values | weak)
+    logs = []
+    for k, ways in enumerate(([1, 1, -1, -1], [-1, 1, 1, -1], [1, 1, 1, 1])):
+        commands = [
+            {"t_s": 1.5 * n, "kind": "duty", "value": [0.4 * (-1) ** n * way for way in ways]}
+            for n in range(6)
+        ]
+        scenario = Scenario(f"run_{k}", 9.0, model, commands, sensors=SENSORS, seed=k)
+        logs.append(make_log(scenario, simulate_truth(scenario)))
+    machine = Machine(model)
+    per_duty = [np.median(_speed_per_duty(machine, log)) for log in logs]
+    assert per_duty[2] > 1.2 * max(per_duty[:2])
+    assert check(machine, logs).complaint is None
 
 
 # ---- set-points ----

@@ -13,8 +13,10 @@ so an impact has to stand out from the run's own level and to explain most of th
 The linear jump is right for a tap. A hard push makes wheels slide, so the size is fitted again with
 the plant itself: free-running from a state before the push, over a grid of times in the rows up to
 it. Against the plant's own replay without a push it has to gain and to explain as much: where
-wheels break loose the linear response feigns pushes that the plant does without. Then the log is
-cut: what follows sees the pieces before and after.
+wheels break loose the linear response feigns pushes that the plant does without. That replay may
+take each jump of the commands beside the push up to a row earlier or later, for the mean of a row
+does not tell when within it they jumped. Then the log is cut: what follows sees the pieces before
+and after.
 """
 
 from collections.abc import Sequence
@@ -147,9 +149,10 @@ def _impacts_in(machine: Machine, run: Run, values: Array, noise: Noise) -> list
     ratio, jump, explained = pushes.ratios()
     level = float(np.percentile(ratio[pushes.first :], 80))
     impacts = []
-    for peak in _peaks(run.t_s, ratio, max(LEAST_RATIO, OVER_LEVEL * level)):
+    threshold = max(LEAST_RATIO, OVER_LEVEL * level)
+    for peak in _peaks(run.t_s, ratio, threshold):
         if explained[peak] >= HARD_EXPLAINED:
-            row = pushes.likeliest_row(peak)
+            row = pushes.likeliest_row(peak, ratio > threshold)
             filtered = track.state.reshape(len(run.t_s), -1)
             impact = _size_up(machine, run, row, values, noise, filtered, jump[row])
             jump_m_s = impact.jump_m_s(machine)
@@ -293,7 +296,7 @@ def _size_up(
     before = _Window(machine, run, max(earlier, 1), values, noise, filtered)
     chance = min(before.quiet / before.readings, 1.0) * window.readings
     fits = _fit_jumps(window, window.times_s[::-COARSE], jump)
-    if _explained(window, fits, chance) >= HOPEFUL:
+    if _explained(window.quiet, fits, chance) >= HOPEFUL:
         others = [t for t in window.times_s[::-1] if t not in {fit.time_s for fit in fits}]
         fits += _fit_jumps(window, others, min(fits, key=lambda fit: fit.cost).jump)
     least = min(fit.cost for fit in fits)
@@ -312,7 +315,8 @@ def _size_up(
     jumped = weight @ np.array([fit.jump for fit in fits])
     deviation = np.sqrt(weight @ (np.array(variances) + (impulses - impulse) ** 2))
     time_deviation = float(np.sqrt(weight @ (times - time_s) ** 2 + window.grid_s**2 / 12.0))
-    gain, explained = window.quiet - least, _explained(window, fits, chance)
+    quiet = window.least_without_push()
+    gain, explained = quiet - least, _explained(quiet, fits, chance)
     return Impact(
         run.name, time_s, impulse, deviation, time_deviation, misfit, gain, explained, jumped
     )
@@ -353,9 +357,44 @@ class _Window:
         self._calm = self._replayed(calm) * self._weight
         edges_s = np.linspace(max(earliest_s, self._t_s[0]), run.t_s[row], TIMES + 1)
         self.times_s = (0.5 * (edges_s[1:] + edges_s[:-1])).tolist()
+        self._row = row + 1 - first
+        self._parted = run.jumped[(run.jumped >= first) & (run.jumped < end - 1)] + 1 - first
         self.quiet = float(np.nansum(self._calm**2))
         self.readings = max(np.count_nonzero(~np.isnan(self._outputs)), 1)
         self.grid_s = float(edges_s[1] - edges_s[0])
+
+    def least_without_push(self) -> float:
+        """Return the least square of the replay errors without a push, if commands jump otherwise.
+
+        Each jump beside the push up to a row earlier or later, in rows that were parted at jumps of
+        the command as they are or with the mean of the log's row.
+        """
+        whole = self._command.copy()
+        for k in self._parted:
+            lengths_s = np.diff(self._t_s[k - 1 : k + 2])
+            whole[k - 1 : k + 1] = lengths_s @ whole[k - 1 : k + 1] / lengths_s.sum()
+        return min(self.quiet, *(self._least_by(command) for command in (self._command, whole)))
+
+    def _least_by(self, command: Array) -> float:
+        change = np.diff(command, axis=0, prepend=command[:1])
+        beside = np.arange(max(self._row - SPAN_ROWS, 1), min(self._row + 3, len(command) - 1))
+        jumps = beside[np.abs(change[beside]).max(axis=1, initial=0.0) > COMMAND_JUMP]
+
+        def errors(earlier: Array) -> Array:
+            moved = command.copy()
+            for k, share in zip(jumps, earlier, strict=True):
+                moved[k - 1 if share > 0.0 else k] += share * change[k]
+            recording = self._machine.engine.recording(
+                self._t_s, np.clip(moved, -1.0, 1.0), self._outputs, self._start
+            )
+            return np.nan_to_num(self._replayed(recording) * self._weight).ravel()
+
+        if not jumps.size:
+            return float(np.sum(errors(np.zeros(0)) ** 2))
+        found = least_squares(
+            errors, np.zeros(jumps.size), bounds=(-1.0, 1.0), diff_step=1e-2, ftol=1e-3, max_nfev=15
+        )
+        return 2.0 * float(found.cost)
 
     def errors(self, time_s: float, jump: Array) -> Array:
         """Replay errors (rows * outputs,) in their standard deviations; 0 where not sampled."""
@@ -421,10 +460,10 @@ def _fit_jumps(window: _Window, times_s: Sequence[float], jump: Array) -> list[_
     return fits
 
 
-def _explained(window: _Window, fits: Sequence[_JumpFit], chance: float) -> float:
+def _explained(quiet: float, fits: Sequence[_JumpFit], chance: float) -> float:
     """Return the share of the error beyond chance that the best of the jumps takes away."""
-    gain = window.quiet - min(fit.cost for fit in fits)
-    return gain / max(window.quiet - chance, gain)
+    gain = quiet - min(fit.cost for fit in fits)
+    return gain / max(quiet - chance, gain) if gain > 0.0 else 0.0
 
 
 class _Pushes:
@@ -468,13 +507,18 @@ class _Pushes:
         ratio[: self.first] = 0.0
         return ratio, jump, ratio / np.maximum(energy, 1e-12)
 
-    def likeliest_row(self, peak: int) -> int:
+    def likeliest_row(self, peak: int, raised: npt.NDArray[np.bool_]) -> int:
         """Return the row before which a push explains most of the rows around a peak of g.
 
-        g looks one horizon ahead of its row; rows can be compared only over the same rows.
+        g looks one horizon ahead of its row; rows can be compared only over the same rows. While
+        wheels slide the sensors may tell of a push long after it: then it lies anywhere where g is
+        `raised` (rows,) up to the peak.
         """
         end = min(peak + self.horizon, len(self.white))
-        rows = range(max(self.earliest, peak - self.horizon), peak + 1)
+        first = peak - self.horizon
+        while first > 0 and raised[first - 1] and self.t_s[peak] - self.t_s[first - 1] < APART_S:
+            first -= 1
+        rows = range(max(self.earliest, first), peak + 1)
         return max(rows, key=lambda row: self._explained_until(row, end))
 
     def _explained_until(self, row: int, end: int) -> float:
