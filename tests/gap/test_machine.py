@@ -110,6 +110,16 @@ def test_an_effect_of_the_model_is_offered_again_from_its_size():
     assert amended.effects == [Effect("weak_motor", {"scale": 0.8}, 3)]
 
 
+def test_bounds_of_a_weak_motor_hold_the_same_time_constant_and_share_of_its_current():
+    """With 30 times the resistance, L / R and a share of the stall current are what they were."""
+    nominal = read_model(NOMINAL_ROBOT)
+    weak = dataclasses.replace(nominal, values=nominal.values | {"motor.resistance_ohm": 18.0})
+    ours, theirs = ({c.name: c for c in Machine(m).candidates()} for m in (nominal, weak))
+    for name, factor in (("armature_inductance", 30.0), ("current_limit", 1.0 / 30.0)):
+        own, other = ours[name].parameters[0], theirs[name].parameters[0]
+        assert (other.low, other.high) == pytest.approx((own.low * factor, own.high * factor))
+
+
 def test_every_candidate_has_a_size_to_look_for_within_its_bounds():
     for candidate in ROBOT.candidates():
         assert candidate.amplitudes

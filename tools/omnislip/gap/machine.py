@@ -383,12 +383,10 @@ class Machine:
         scale = self._scale(effect, entry)
         places = self.place(effect, entry["name"], wheel)
         low, high = entry["low"], entry["high"]
+        if entry["typical"] != 0:  # the catalogue's bounds are those of the nominal robot
+            low, high = (end * self._size(effect, entry) for end in (low, high))
         if self.kind == "axis" and entry["name"] == "limit_a":
             low = 0.01 * scale  # the catalogue's bound is in ampere
-        if entry["unit"] in OF_THE_DRIVE:
-            low *= self._size(effect, entry)
-        if entry["unit"] == INERTIA:  # of a smaller robot no more may be missing than it has
-            low *= min(1.0, self._size(effect, entry))
         if not math.isfinite(entry["neutral"]) and entry["typical"] != 0:
             high = min(high, MOST_OF_ABSENT * scale)
         if entry["name"] == "damping_nm_s_rad":  # beyond, the spring is bridged
