@@ -108,6 +108,9 @@ gains, below which it carries a caution; below a tenth of this the search gives 
 LEAST_REST = 100.0
 """Gain beyond chance that a leftover term must have at least: where nothing is missing, how
 commands moved within rows leaves up to 60 in violent driving."""
+IN_PLACES, IN_PLACES_SHARE = 200.0, 0.04
+"""Gain, inflated as it may be, that chance did not give any refused effect where nothing is missing
+(28 nulls: 76 at most), and share of what is named: the square of a fifth."""
 PREDICTED_SHARE = 0.15
 LASTING_SHARES = {
     ahead_s: factor * float(np.exp(-2.0 * LASTING_RATE_1_S * ahead_s))
@@ -532,6 +535,8 @@ def _verdict(
     """Name effects only if they explain what is to be explained."""
     if _missing_terms(outcome) or _surely_refused(outcome) or _much_is_left(table):
         return "unknown_effect"
+    if _refused_in_places(outcome, table):
+        return "unknown_effect"
     if jolts or any(_no_chance(one) for one in shares) or _varying(outcome.selected):
         return "unknown_effect"
     if _keys_at_their_ends(outcome) or _better_without_name(outcome.selected):
@@ -602,6 +607,24 @@ def _no_chance(found: Predictable) -> bool:
 def _surely_refused(outcome: Outcome) -> Trial | None:
     """Return what was refused last because it spoilt the other runs, if it is sure."""
     return _surest(outcome, lambda trial: trial.checked and trial.validation_gain <= 0)
+
+
+def _refused_in_places(outcome: Outcome, table: GapTable) -> Trial | None:
+    """Return what was refused last because it explains much, but in few places; None if chance may.
+
+    Something is there, then, that has none of the shapes that are known. What is named covers that
+    where it surely closes half of the gap, or gains so much more that its own shape, a fifth off,
+    leaves as much.
+    """
+    last = max((trial.step for trial in outcome.trials), default=0)
+    trials = [trial for trial in outcome.trials if trial.step == last]
+    if any(trial.accepted for trial in trials) or (table.closed.low or 0.0) > PROVEN:
+        return None
+    named = sum(s.evidence.gain for s in outcome.selected)
+    checked = [trial for trial in trials if trial.checked]
+    most = max(checked, key=lambda trial: trial.evidence.gain, default=None)
+    least = max(IN_PLACES, outcome.data.feigned_gain, IN_PLACES_SHARE * named)
+    return most if most and most.evidence.gain > least else None
 
 
 def _unchecked(outcome: Outcome) -> str | None:
@@ -969,6 +992,8 @@ def _sentence(
         )
         if refused := _surely_refused(outcome):
             text += f"; {refused.candidate.name} explains much of it in some runs and spoils others"
+        elif refused := _refused_in_places(outcome, table):
+            text += f"; {refused.candidate.name} explains much of it, but in few places only"
         if _much_is_left(table):
             off = (1.0 + table.left.excess) ** 0.5
             text += f"; replays of held-out runs are {off:.2g} noise floors off"
