@@ -32,8 +32,7 @@ PUSHES = [(1.5, -1.0, 0.0), (-0.5, 6.0, 0.1)]
 
 
 def found_in(folder, push=None, **changed):
-    sizes = ("impulse_x_n_s", "impulse_y_n_s", "impulse_theta_n_m_s")
-    numbers = {"time_s": 2.5031} | dict(zip(sizes, push or (), strict=False))
+    numbers = dict(zip(IMPACT_KEYS, (2.5031, *(push or ())), strict=False))
     hidden = {"name": "impact", "parameters": numbers, "run": "run_02", "wheel": None}
     case = TruthCase(
         seed=3, effects=(hidden,) if push else (), runs=3, run_duration_s=5.0, **changed
@@ -62,6 +61,25 @@ def test_momentum_of_a_push_is_right_within_a_fifth(tmp_path, push):
     error = np.hypot(*(impact.impulse[:2] - push[:2]))
     assert error < 0.2 * np.hypot(*push[:2])
     assert np.all(np.abs(impact.impulse - push) < 3 * impact.deviation)
+
+
+def test_a_light_push_just_before_a_hard_one_is_found():
+    model = read_model(NOMINAL_ROBOT)
+    pushes = [(2.3, 2.0, 0.0, 0.0), (2.5, -2.7, 7.0, 0.0)]
+    hidden = [
+        Effect("impact", dict(zip(IMPACT_KEYS, push, strict=True)), run="run") for push in pushes
+    ]
+    driving = [{"t_s": 0.0, "kind": "velocity", "value": [0.3, 0.2, 0.5]}]
+    pushed = replace(model, effects=hidden)
+    scenario = Scenario("run", 5.0, pushed, driving, sensors=Sensors(pose_noise_m=0.001), seed=1)
+    machine = Machine(model)
+    run = make_run(machine, make_log(scenario, simulate_truth(scenario)))
+    calm = replace(scenario, model=model, seed=2)
+    noise = tune_noise(
+        machine, [make_run(machine, make_log(calm, simulate_truth(calm)))], machine.believed
+    )
+    found = find_impacts(machine, [run], machine.believed, noise)
+    assert [impact.time_s for impact in found] == pytest.approx([2.3, 2.5], abs=0.015)
 
 
 def test_a_push_after_which_wheels_slide_is_found(tmp_path, monkeypatch):

@@ -163,6 +163,39 @@ def test_what_is_refused_is_something_where_it_gains_more_than_anything_feigns(
     assert verdict_of(effects, feigned_gain=feigned_gain, trials=(refused,)) == verdict
 
 
+@pytest.mark.parametrize(
+    ("gain", "named", "closed_low", "last", "verdict"),
+    [
+        (1300.0, 0.0, None, True, "unknown_effect"),
+        (150.0, 0.0, None, True, "no_gap"),
+        (1300.0, 1800.0, 0.0, True, "unknown_effect"),
+        (1300.0, 1800.0, 0.6, True, "effect_found"),
+        (1300.0, 1e5, 0.0, True, "effect_found"),
+        (1300.0, 1800.0, 0.0, False, "effect_found"),
+    ],
+)
+def test_what_explains_much_in_few_places_is_something_unless_names_cover_it(
+    gain, named, closed_low, last, verdict
+):
+    """So much, though that inflation leaves it to chance; not what gave way to what was taken."""
+    evidence = Evidence(gain, 60.0, 0.1, np.eye(1), 0.0)
+    trials = [
+        SimpleNamespace(
+            step=1, accepted=False, checked=True, validation_gain=1.0, evidence=evidence
+        )
+    ]
+    if not last:
+        trials.append(replace_namespace(trials[0], accepted=True))
+    effects = [selected("coulomb_friction", named)] if named else []
+    closed = Closed(None, None, None) if closed_low is None else Closed(0.7, closed_low, 0.9)
+    table = SimpleNamespace(left=Left(0.0, 1.0), closed=closed)
+    assert verdict_of(effects, table=table, trials=trials) == verdict
+
+
+def replace_namespace(one, **changed):
+    return SimpleNamespace(**{**vars(one), **changed})
+
+
 @pytest.mark.parametrize(("keys_at_ends", "verdict"), [(4, "no_gap"), (5, "unknown_effect")])
 def test_believed_keys_at_their_ends_are_no_model_that_explains_the_logs(keys_at_ends, verdict):
     assert verdict_of([], keys_at_ends=keys_at_ends) == verdict

@@ -160,7 +160,13 @@ def _impacts_in(machine: Machine, run: Run, values: Array, noise: Noise) -> list
             least = max(LEAST_JUMP_M_S, _feigned_m_s(machine, run, row, values))
             if shown and impact.confirmed and least <= jump_m_s <= MOST_JUMP_M_S:
                 impacts.append(impact)
-    return impacts
+    return [one for one in impacts if not any(_same(one, other) for other in impacts)]
+
+
+def _same(one: Impact, other: Impact) -> bool:
+    """Whether both are one push, and the other explains more of what it did."""
+    near = abs(one.time_s - other.time_s) < HORIZON_S
+    return one is not other and near and (one.gain, one.time_s) < (other.gain, other.time_s)
 
 
 def without_repeated(runs: Sequence[Run], impacts: Sequence[Impact]) -> list[Impact]:
@@ -534,10 +540,14 @@ class _Pushes:
 
 
 def _peaks(t_s: Array, ratio: Array, threshold: float) -> list[int]:
-    """Rows of the local maxima above the threshold, strongest first claiming its surroundings."""
+    """Rows of the local maxima above the threshold, strongest first claiming its surroundings.
+
+    After it for long, before it only rows that look as far ahead: another push may have come there.
+    """
     left, found = ratio.copy(), []
     while left.max(initial=0.0) > threshold:
         row = int(np.argmax(left))
         found.append(row)
-        left[np.abs(t_s - t_s[row]) < APART_S] = 0.0
+        since_s = t_s - t_s[row]
+        left[(since_s > -HORIZON_S - SPAN_S) & (since_s < APART_S)] = 0.0
     return sorted(found)
