@@ -104,7 +104,8 @@ PATCH_SCALES, PATCH_SHARE = (0.3, 0.5, 0.7, 0.9), 0.2
 """Grips of a patch to try; share of the best promise from which its edges are looked for: those of
 the screen are coarse, but explain more than a fifth of what the right ones do."""
 NEAR_BY_PLACES = 0.5
-"""Share of the best gain that a patch must reach by the places of a grid for finer ones."""
+"""Share of the best gain that a patch must reach by the places of a grid for finer ones, and no
+less than stands out from chance: most logs know no patch."""
 FINE_PLACES, EDGE_HALVINGS, EDGE_STEPS = np.linspace(-1.0, 1.0, 33), 3, np.array([-1.0, 1.0])
 """An edge moves over a grid, then over a finer one (beside the right effects 10 mm decide), then by
 halves, quarters and eighths of its spacing."""
@@ -556,7 +557,8 @@ def _refit_quickly(data: Data, current: Fit, screened: Sequence[Screened]) -> li
         own[int(np.argmin(c))] for own, c in zip(offered, np.split(costs, edges), strict=True)
     ]
     hoped = PATCH_SHARE * max(one.promise for one in screened)
-    wanted = current.objective - NEAR_BY_PLACES * (current.objective - float(costs.min()))
+    near = NEAR_BY_PLACES * (current.objective - float(costs.min()))
+    wanted = current.objective - max(near, VISIBLE_GAIN)
     starts = [
         _edges_moved(data, current, start, wanted) if one.promise >= hoped else start
         for one, start in zip(screened, starts, strict=True)
