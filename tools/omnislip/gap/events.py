@@ -148,25 +148,54 @@ def _impacts_in(machine: Machine, run: Run, values: Array, noise: Noise) -> list
     pushes = _Pushes(machine, run, track)
     ratio, jump, explained = pushes.ratios()
     level = float(np.percentile(ratio[pushes.first :], 80))
-    impacts = []
+    filtered, impacts = track.state.reshape(len(run.t_s), -1), []
     threshold = max(LEAST_RATIO, OVER_LEVEL * level)
     for peak in _peaks(run.t_s, ratio, threshold):
         if explained[peak] >= HARD_EXPLAINED:
             row = pushes.likeliest_row(peak, ratio > threshold)
-            filtered = track.state.reshape(len(run.t_s), -1)
             impact = _size_up(machine, run, row, values, noise, filtered, jump[row])
             jump_m_s = impact.jump_m_s(machine)
             shown = explained[peak] >= EXPLAINED or jump_m_s >= HARD_M_S
             least = max(LEAST_JUMP_M_S, _feigned_m_s(machine, run, row, values))
             if shown and impact.confirmed and least <= jump_m_s <= MOST_JUMP_M_S:
                 impacts.append(impact)
-    return [one for one in impacts if not any(_same(one, other) for other in impacts)]
+    impacts = [one for one in impacts if not any(_same(one, other) for other in impacts)]
+    return [
+        one
+        for one in impacts
+        if not any(
+            _does_both(machine, run, other, one, values, noise, filtered) for other in impacts
+        )
+    ]
 
 
 def _same(one: Impact, other: Impact) -> bool:
     """Whether both are one push, and the other explains more of what it did."""
     near = abs(one.time_s - other.time_s) < HORIZON_S
     return one is not other and near and (one.gain, one.time_s) < (other.gain, other.time_s)
+
+
+def _does_both(
+    machine: Machine,
+    run: Run,
+    push: Impact,
+    later: Impact,
+    values: Array,
+    noise: Noise,
+    filtered: Array,
+) -> bool:
+    """Whether a push alone explains what follows as well as what a later one was told for.
+
+    Where wheels slide the filter may find out long after a push how the robot goes since.
+    """
+    between_s = later.time_s - push.time_s
+    if not 0.0 < between_s < APART_S:
+        return False
+    row = int(np.searchsorted(run.t_s, push.time_s))
+    window = _Window(machine, run, row, values, noise, filtered, between_s + HORIZON_S)
+    time_s = min(window.times_s, key=lambda t: abs(t - push.time_s))
+    [alone] = _fit_jumps(window, [time_s], push.jump)
+    return alone.cost - push.misfit * window.readings < LEAST_RATIO
 
 
 def without_repeated(runs: Sequence[Run], impacts: Sequence[Impact]) -> list[Impact]:
@@ -346,11 +375,18 @@ class _Window:
     """
 
     def __init__(
-        self, machine: Machine, run: Run, row: int, values: Array, noise: Noise, filtered: Array
+        self,
+        machine: Machine,
+        run: Run,
+        row: int,
+        values: Array,
+        noise: Noise,
+        filtered: Array,
+        horizon_s: float = HORIZON_S,
     ) -> None:
         earliest_s = min(run.t_s[row] - SPAN_S, run.t_s[max(row - SPAN_ROWS, 0)])
         first = max(int(np.searchsorted(run.t_s, earliest_s, side="right")), 1)
-        end = int(np.searchsorted(run.t_s, run.t_s[row] + HORIZON_S)) + 1
+        end = int(np.searchsorted(run.t_s, run.t_s[row] + horizon_s)) + 1
         self._machine, self._values = machine, values
         self._noise = replace(noise, initial=STATE_VARIANCE)
         self._t_s = run.t_s[first - 1 : end]
