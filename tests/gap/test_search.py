@@ -333,6 +333,28 @@ def test_play_is_found_where_less_play_explains_less_than_none(tmp_path, angle_r
         assert ahead.trials == []
 
 
+@pytest.mark.parametrize("length_m", [1.4e-3, 0.0])
+def test_bristles_are_found_beside_another_effect_by_noise_that_fits_both(tmp_path, length_m):
+    """Noise that fits the other alone takes what they hold for chance."""
+    cogging = {"torque_nm": 0.02, "cycles_per_rev": 2.0, "phase_rad": 0.4}
+    hidden = [HiddenEffect("cogging", cogging)]
+    if length_m:
+        hidden.append(HiddenEffect("bristle_relaxation", {"length_m": length_m}))
+    effects = tuple(effect.as_dict() for effect in hidden)
+    case = TruthCase(seed=21007, effects=effects, sensors=(), runs=2)
+    robot, runs, candidates = robot_runs(case, tmp_path)
+    data, current = settle(robot, runs, believed_hypothesis(robot))
+    ahead = search_module._Ahead(data, current, robot.candidates(), 1, 100, silent)
+    start = current.hypothesis.with_effect(candidates["cogging"], list(cogging.values()))
+    first = ahead._by_its_noise(candidates["cogging"], start)
+    further = ahead._far_beside(first, candidates["bristle_relaxation"])
+    if length_m:
+        assert further.trial.accepted
+        assert further.fitted.hypothesis.values_of(1)[0] == pytest.approx(length_m, rel=0.05)
+    else:
+        assert further is None
+
+
 @pytest.mark.parametrize("length_m", [0.9e-3, 4e-3, 0.0])
 def test_bristles_are_found_along_their_own_filter(tmp_path, length_m):
     """That of rigid contact takes what they hold for pushes; where none are, none are found."""
