@@ -130,11 +130,6 @@ struct Relaxation {
         return {gained, select(lags, left, S(0.0))};
     }
 
-    /* The same without a lag in any lane, which is cheaper. */
-    static Relaxation at_once(double length_s) {
-        return {S(length_s > 0.0 ? 1.0 : 0.0), S(0.0)};
-    }
-
   private:
     static constexpr double kLeast = 1e-200;
 };

@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from omnislip.gap import find
+from omnislip.gap import find, gates
 from omnislip.gap.events import Impact
 from omnislip.gap.find import find_gap, to_json
 from omnislip.gap.gates import _lag_s, _speed_per_duty, check, logged_set_points, too_poor
 from omnislip.gap.machine import Machine
+from omnislip.gap.noise import RunawayError
 from omnislip.gap.truth import TruthCase, write_case
 from omnislip.gap.truth_effects import HiddenEffect, typical_effect
 from omnislip.log_file import ROBOT_OPTIONAL, Log, read_log, write_log
@@ -476,6 +477,20 @@ def test_set_points_in_place_of_duties_are_told(ramp_1_s):
     words = logged_set_points(MACHINE, [with_set_points(log, 5)], MACHINE.believed)
     assert words is not None
     assert f"about {ramp_1_s:g} per second" in words
+
+
+def test_a_model_that_loses_the_robot_tells_no_set_points(monkeypatch):
+    """Where the noise of no model can be tuned, nothing is said and nothing is refused."""
+    tuned = []
+
+    def lost(*args, **options):
+        tuned.append(args)
+        raise RunawayError("run: its motion grows without bounds")
+
+    monkeypatch.setattr(gates, "tune_noise", lost)
+    log = with_set_points(drive(seed=5, ramp_1_s=4.0), 5)
+    assert logged_set_points(MACHINE, [log], MACHINE.believed) is None
+    assert tuned
 
 
 # ---- poor excitation ----

@@ -411,11 +411,14 @@ class _Window:
         Each jump beside the push up to a row earlier or later, in rows that were parted at jumps of
         the command as they are or with the mean of the log's row.
         """
+        least = min(self.quiet, self._least_by(self._command))
+        if not self._parted.size:
+            return least
         whole = self._command.copy()
         for k in self._parted:
             lengths_s = np.diff(self._t_s[k - 1 : k + 2])
             whole[k - 1 : k + 1] = lengths_s @ whole[k - 1 : k + 1] / lengths_s.sum()
-        return min(self.quiet, *(self._least_by(command) for command in (self._command, whole)))
+        return min(least, self._least_by(whole))
 
     def _least_by(self, command: Array) -> float:
         change = np.diff(command, axis=0, prepend=command[:1])

@@ -616,8 +616,7 @@ def _refused_in_places(outcome: Outcome, table: GapTable) -> Trial | None:
     where it surely closes half of the gap, or gains so much more that its own shape, a fifth off,
     leaves as much.
     """
-    last = max((trial.step for trial in outcome.trials), default=0)
-    trials = [trial for trial in outcome.trials if trial.step == last]
+    trials = _last_trials(outcome)
     if any(trial.accepted for trial in trials) or (table.closed.low or 0.0) > PROVEN:
         return None
     named = sum(s.evidence.gain for s in outcome.selected)
@@ -650,11 +649,15 @@ def _surest(outcome: Outcome, refused: Callable[[Trial], bool]) -> Trial | None:
     It gains more, beyond chance, than a controller feigns and than all that is named.
     """
     named = sum(s.evidence.beyond_chance for s in outcome.selected)
-    last = max((trial.step for trial in outcome.trials), default=0)
-    trials = [t for t in outcome.trials if t.step == last and not t.accepted and refused(t)]
+    trials = [t for t in _last_trials(outcome) if not t.accepted and refused(t)]
     surest = max(trials, key=lambda trial: trial.evidence.beyond_chance, default=None)
     least = max(SURE_GAIN, outcome.data.feigned_gain, named)
     return surest if surest and surest.evidence.beyond_chance > least else None
+
+
+def _last_trials(outcome: Outcome) -> list[Trial]:
+    last = max((trial.step for trial in outcome.trials), default=0)
+    return [trial for trial in outcome.trials if trial.step == last]
 
 
 def _much_is_left(table: GapTable) -> bool:

@@ -20,6 +20,7 @@ from scipy.ndimage import median_filter
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import (
     STEP_S,
+    RunawayError,
     first_guess,
     track_all,
     track_recordings,
@@ -91,6 +92,8 @@ RAMPS_1_S = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
 RAMP_GAIN, RAMP_GAIN_OWN = 1.0, 0.1
 """Log-likelihood per reading that a ramp has to gain by a first guess of the noise, and by noise
 that fits each: set-points of 1 to 12 per second gained 0.7 to 12, and 0.6 to 1.2."""
+LOST = -1e300
+"""Log-likelihood where the filter loses the robot."""
 LEAST_VISIBLE = 0.5
 """Share of the effects that logs must be able to show at a size worth looking for."""
 
@@ -797,19 +800,26 @@ def logged_set_points(machine: Machine, logs: Sequence[Log], found: Array) -> st
 
     def worth(tried: Sequence[Log], values: Array, by_own: bool) -> float:
         ways = [make_run(machine, log) for log in tried]
-        own = tune_noise(machine, ways, values, noise, paths=1) if by_own else noise
-        tracks = track_all(machine, ways, values, own)
-        return float(np.nan_to_num(sum(track.log_likelihood for track in tracks), nan=-1e300))
+        try:
+            own = tune_noise(machine, ways, values, noise, paths=1) if by_own else noise
+            tracks = track_all(machine, ways, values, own)
+        except RunawayError:
+            return LOST
+        return float(np.nan_to_num(sum(track.log_likelihood for track in tracks), nan=LOST))
 
     ramps = {
         r: worth([_ramped(log, r) for log in looked_at], machine.believed, False) for r in RAMPS_1_S
     }
     best = max(ramps, key=ramps.__getitem__)
-    followed = [_ramped(log, best) for log in looked_at]
-    for by_own, asked in ((False, RAMP_GAIN), (True, RAMP_GAIN_OWN)):
-        logged = max(worth(looked_at, values, by_own) for values in (machine.believed, found))
-        if worth(followed, machine.believed, by_own) - logged < asked * readings:
-            return None
+
+    def logged(by_own: bool) -> float:
+        return max(worth(looked_at, values, by_own) for values in (machine.believed, found))
+
+    if ramps[best] - logged(False) < RAMP_GAIN * readings:
+        return None
+    own = worth([_ramped(log, best) for log in looked_at], machine.believed, True)
+    if own - logged(True) < RAMP_GAIN_OWN * readings:
+        return None
     return (
         f"the duty columns look like set-points: the motors follow them with about {best:g} per "
         f"second; log the duty that is applied"

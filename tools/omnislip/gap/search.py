@@ -909,11 +909,19 @@ class _Ahead:
         size = found.fitted.hypothesis.values_of(len(current.effects))[0]
         return found if found.trial.accepted and size >= sizes[0] else None
 
-    def _likelihood(self, hypothesis: Hypothesis, runs: Sequence[Run]) -> float:
-        """Logarithm of that of a model's own filter, by the noise that is known."""
+    def _likelihood(
+        self, hypothesis: Hypothesis, runs: Sequence[Run], start: Noise | None = None
+    ) -> float:
+        """Logarithm of that of a model's own filter, by the noise that is known.
+
+        Or by noise that fits the model, tuned from a `start`.
+        """
+        machine, noise = self._data.machine, self._data.noise
         values = hypothesis.flat(self._data.believed)
         try:
-            tracks = track_all(self._data.machine, runs, values, self._data.noise)
+            if start is not None:
+                noise = tune_noise(machine, runs, values, start, paths=1)
+            tracks = track_all(machine, runs, values, noise)
         except RunawayError:
             return -np.inf
         return float(np.nan_to_num(sum(t.log_likelihood for t in tracks), nan=-np.inf))
@@ -1005,18 +1013,10 @@ class _Ahead:
         data, before = first.data, first.fitted.hypothesis
         few, shape = some_runs(data.runs), list(candidate.starts[0].values())
         sizes = _far_sizes(candidate)[1::3]
-
-        def tuned(model: Hypothesis) -> float:
-            values = model.flat(data.believed)
-            try:
-                noise = tune_noise(data.machine, few, values, data.noise, paths=1)
-                tracks = track_all(data.machine, few, values, noise)
-            except RunawayError:
-                return -np.inf
-            return float(np.nan_to_num(sum(t.log_likelihood for t in tracks), nan=-np.inf))
-
         models = [before, *(before.with_effect(candidate, [size, *shape]) for size in sizes)]
-        least, *found = side_by_side(tuned, models)
+        least, *found = side_by_side(
+            lambda model: self._likelihood(model, few, first.data.noise), models
+        )
         if max(found) < least + SURE_GAIN / 2:
             return None
         name, start = first.trial.candidate.name, models[1 + int(np.argmax(found))]
