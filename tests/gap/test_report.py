@@ -102,6 +102,7 @@ def findings_of(machine, verdict, effects=(), rivals=()):
         leftover=leftover,
         limits=limits,
         data=None,
+        neighbours={},
     )
     count = len(channels)
     rmse = np.outer([0.0491, 0.0437, 0.00213], np.arange(1, count + 1))

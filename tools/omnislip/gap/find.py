@@ -57,6 +57,7 @@ from omnislip.gap.recordings import (
 )
 from omnislip.gap.search import (
     CONFIDENCE,
+    FEW_TUNINGS,
     SURE_GAIN,
     MistakenError,
     Outcome,
@@ -94,6 +95,8 @@ FEW_RUNS = (
     f"With fewer than {RUNS_TO_HOLD_OUT_WHOLE} logs the choice was checked on parts of runs whose "
     "other parts were fitted: a name may change with more."
 )
+SURELY_HELD = 10.0
+"""Log-likelihood after one tuning from which its sign is that after three, with 40 recordings."""
 SURELY_MISTAKEN = 100.0
 """Log-likelihood by which a better model has to show that commands are not what the first took
 them for, held within rows or not: beside a delay of two rows that is missing they are 7,000 off,
@@ -108,9 +111,10 @@ gains, below which it carries a caution; below a tenth of this the search gives 
 LEAST_REST = 100.0
 """Gain beyond chance that a leftover term must have at least: where nothing is missing, how
 commands moved within rows leaves up to 60 in violent driving."""
-IN_PLACES, IN_PLACES_SHARE = 200.0, 0.04
+IN_PLACES, IN_PLACES_SHARE = 200.0, 0.02
 """Gain, inflated as it may be, that chance did not give any refused effect where nothing is missing
-(28 nulls: 76 at most), and share of what is named: the square of a fifth."""
+(28 nulls: 76 at most), and share of what is named: the square of a seventh (beside 34 right names
+that close the gap 0.006 at most)."""
 PREDICTED_SHARE = 0.15
 LASTING_SHARES = {
     ahead_s: factor * float(np.exp(-2.0 * LASTING_RATE_1_S * ahead_s))
@@ -265,13 +269,9 @@ def find_gap(
         told.append(known.thinned)
     if not known.enough:
         return _insufficient(machine, _too_cut(known), inputs, told, wirings)
-    noise, first = first_model(machine, known.fitting)
-    if likelier_held(machine, known.fitting, first.flat(machine.believed), noise) > 0.0:
-        held = _other_commands(machine, known.fitting)
-        machine = machine.of(model, holds_commands=True)
-        noise, first = first_model(machine, held, (noise, first))
+    machine, noise, first = _first_models(machine, known.fitting)
     runs, impacts = _pushes_beside(machine, logs, cuts, first, noise)
-    least = 0
+    least, outcome = 0, None
     for left in reversed(range(3)):  # again where only a better model shows pushes or commands
         pushes = cuts + [(impact.run, impact.time_s) for impact in impacts]
         split = split_runs(machine, logs, pushes)
@@ -280,7 +280,7 @@ def find_gap(
         mistaken = partial(_takes_commands_wrongly, machine, split.fitting, least) if left else None
         try:
             outcome = search(
-                machine, split.fitting, noise, progress, first.without_effects(), mistaken
+                machine, split.fitting, noise, progress, first.without_effects(), mistaken, outcome
             )
         except MistakenError as error:
             least = error.effects
@@ -288,6 +288,7 @@ def find_gap(
             machine = machine.of(model, holds_commands=not machine.holds_commands)
             progress(f"again with duties {'held' if machine.holds_commands else 'moving'} in rows")
             noise, first = first_model(machine, fitting, (noise, first))
+            outcome = None
             runs, impacts = _pushes_beside(machine, logs, cuts, first, noise)
             continue
         progress("looking for impacts with the final model")
@@ -449,6 +450,25 @@ def _unproven_words(selected: Sequence[Selected], table: GapTable) -> str:
         f"{names} would explain something of the runs that were fitted, but on held-out runs "
         f"{shown}: not named."
     )
+
+
+def _first_models(machine: Machine, runs: Sequence[Run]) -> tuple[Machine, Noise, Hypothesis]:
+    """Return the machine, its commands held within rows if that is likelier, and a first model.
+
+    What is surely likelier shows by one tuning of the noise.
+    """
+    noise, first = first_model(machine, runs, tunings=1)
+    held = likelier_held(machine, runs, first.flat(machine.believed), noise) > SURELY_HELD
+    if not held:
+        noise, first = first_model(machine, runs, (noise, first), FEW_TUNINGS - 1)
+        held = likelier_held(machine, runs, first.flat(machine.believed), noise) > 0.0
+    if held:
+        machine, runs = (
+            machine.of(machine.model, holds_commands=True),
+            _other_commands(machine, runs),
+        )
+        noise, first = first_model(machine, runs, (noise, first))
+    return machine, noise, first
 
 
 def _takes_commands_wrongly(
@@ -613,7 +633,7 @@ def _refused_in_places(outcome: Outcome, table: GapTable) -> Trial | None:
     """Return what was refused last because it explains much, but in few places; None if chance may.
 
     Something is there, then, that has none of the shapes that are known. What is named covers that
-    where it surely closes half of the gap, or gains so much more that its own shape, a fifth off,
+    where it surely closes half of the gap, or gains so much more that its own shape, a seventh off,
     leaves as much.
     """
     trials = _last_trials(outcome)
@@ -663,19 +683,21 @@ def _last_trials(outcome: Outcome) -> list[Trial]:
 def _much_is_left(table: GapTable) -> bool:
     """Whether replays of held-out runs stay clearly above the floor.
 
-    With effects: they surely close less than `EXPLAINED` of the gap. Without: against repeated
-    manoeuvres, for the predictor's own noise takes a gap that nothing explains for chance. Far
-    above in any case, if more than one window says so: a held-out run may hold what no fitted one
-    does, and of what comes and goes the mean is as uncertain as it is large.
+    With effects: they surely close less than `EXPLAINED` of the gap, and what is left is more than
+    its own error. Without: against repeated manoeuvres, for the predictor's own noise takes a gap
+    that nothing explains for chance. Far above in any case, if more than one window says so: a
+    held-out run may hold what no fitted one does, and of what comes and goes the mean is as
+    uncertain as it is large.
     """
     left, closed = table.left, table.closed
     if left.excess < LEAST_EXCESS:
         return False
-    far, sure = left.excess > FAR_EXCESS, left.excess >= SURE * left.standard_error
+    far, error = left.excess > FAR_EXCESS, left.standard_error
     if closed.high is not None:
-        return (sure or far) and closed.high < EXPLAINED
-    judged = left.standard_error < np.inf
-    return (far and judged) or (sure and table.floor_source == REPEATED)
+        return (far or left.excess >= error) and closed.high < EXPLAINED
+    if left.excess >= SURE * error and table.floor_source == REPEATED:
+        return True
+    return far and error < np.inf
 
 
 def _steps(

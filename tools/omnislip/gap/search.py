@@ -188,6 +188,8 @@ class Outcome:
     """What the final model leaves and no effect of the catalogue explains, strongest first."""
     limits: dict[str, dict[str, float]]
     data: Data
+    neighbours: dict[str, list[Candidate]]
+    """Of each effect that was chosen, what promised most then: what it may have been taken for."""
 
     def without_effects(self) -> "Outcome":
         """Return the outcome with the base fit as the final one."""
@@ -221,12 +223,14 @@ def search(
     progress: Progress,
     start: Hypothesis | None = None,
     mistaken: Callable[[Hypothesis, Noise], bool] | None = None,
+    before: Outcome | None = None,
 ) -> Outcome:
     """Find the missing effects on runs of two units or more.
 
     From a first `noise` and believed keys `start` that fit better than the file's, or none.
     `mistaken` is asked, by each better model and its noise, whether what the runs were taken for
-    was wrong; then MistakenError is raised.
+    was wrong; then MistakenError is raised. `before`: what was found when other pushes were cut out
+    of the same logs, to go on from if all of that holds.
     """
     candidates = machine.candidates_for(runs)
     tried = sum(len(candidate.starts) for candidate in candidates)
@@ -237,11 +241,23 @@ def search(
     settled, compared = base, dict[int, _Compared]()
     limits, curves = None, set[str]()
     neighbours: dict[str, list[Candidate]] = {}
-    for step in range(1, MOST_STEPS + 1):
+    steps = 0
+    again = _again(machine, runs, before, tried) if before else None
+    if again is not None:
+        progress("going on from what was found before")
+        limits = _limits(machine, screen(data, base, candidates))
+        (data, current), neighbours = again, dict(before.neighbours)
+        settled, curves = current, _curves_in(current)
+        taken = {effect.name for effect in current.hypothesis.effects}
+        candidates = [c for c in candidates if c.name not in taken]
+        steps = max(trial.step for trial in before.trials if trial.accepted)
+        trials = [trial for trial in before.trials if trial.step <= steps]
+    for step in range(steps + 1, MOST_STEPS + 1):
+        if len(current.hypothesis.effects) == MOST_EFFECTS:
+            break
         progress(f"step {step}: screening {len(candidates)} effects")
         screened = screen(data, current, candidates)
-        if limits is None:
-            limits = {s.candidate.name: _limit(machine, s) for s in screened}
+        limits = limits or _limits(machine, screened)
         worth = [s for s in screened[:REFITS] if s.promise > LEAST_PROMISE]
         found = _try(data, current, worth, step, tried, progress)
         accepted = next((fitted for trial, fitted in found if trial.accepted), None)
@@ -292,8 +308,6 @@ def search(
             curves = _curves_in(current)
         taken = {effect.name for effect in current.hypothesis.effects}
         candidates = [c for c in (*candidates, *chosen) if c.name not in taken]
-        if len(current.hypothesis.effects) == MOST_EFFECTS:
-            break
     final = current
     if current is not settled:
         progress("fitting the final model")
@@ -309,8 +323,31 @@ def search(
     ladder = _ladder(data, base_values, final)
     selected = _select(data, final, free, compared)
     return Outcome(
-        ladder[0], final, ladder, selected, tuple(trials), tuple(leftover), limits or {}, data
+        ladder[0],
+        final,
+        ladder,
+        selected,
+        tuple(trials),
+        tuple(leftover),
+        limits or {},
+        data,
+        neighbours,
     )
+
+
+def _again(
+    machine: Machine, runs: Sequence[Run], before: Outcome, tried: int
+) -> tuple[Data, Fit] | None:
+    """Settle a model that was found before; None if it has no effects, or not all of them hold."""
+    model = before.final.hypothesis
+    if not model.effects:
+        return None
+    try:
+        data, settled = settle(machine, runs, model, before.data.noise)
+    except RunawayError:
+        return None
+    holds = _drop_needless(data, settled, tried) is settled
+    return (data, settled) if holds else None
 
 
 def believed_hypothesis(machine: Machine) -> Hypothesis:
@@ -320,7 +357,10 @@ def believed_hypothesis(machine: Machine) -> Hypothesis:
 
 
 def first_model(
-    machine: Machine, runs: Sequence[Run], like: tuple[Noise, Hypothesis] | None = None
+    machine: Machine,
+    runs: Sequence[Run],
+    like: tuple[Noise, Hypothesis] | None = None,
+    tunings: int = FEW_TUNINGS,
 ) -> tuple[Noise, Hypothesis]:
     """Return noise and fit of a model that is near enough to see pushes beside it.
 
@@ -331,7 +371,7 @@ def first_model(
     if like is None:
         for candidate in [c for c in machine.candidates() if c.effect == CURVE]:
             start = start.with_effect(candidate, [0.1])
-    data, fitted = settle(machine, runs, start, noise, FEW_TUNINGS)
+    data, fitted = settle(machine, runs, start, noise, tunings)
     return data.noise, fitted.hypothesis
 
 
@@ -569,12 +609,12 @@ def _refit_quickly(data: Data, current: Fit, screened: Sequence[Screened]) -> li
 def _edges_moved(data: Data, current: Fit, start: Hypothesis, wanted: float = np.inf) -> Hypothesis:
     """Move the edges of a patch in the floor to where they explain most, in turn, or a threshold.
 
-    No derivative leads there: only rows at the edge itself have one. Other effects stay. Edges are
-    refined where the patch costs no more than `wanted`.
+    No derivative leads there: only rows at the edge itself have one. Other effects stay. Both are
+    refined where the model costs no more than `wanted`.
     """
     candidate = start.effects[-1]
     if candidate.effect in THRESHOLDS:
-        return _threshold_moved(data, current, start, THRESHOLDS[candidate.effect])
+        return _threshold_moved(data, current, start, THRESHOLDS[candidate.effect], wanted)
     if not candidate.edges_m:
         return start
     spacing_m = candidate.edges_m[1] - candidate.edges_m[0]
@@ -593,27 +633,38 @@ def _edges_moved(data: Data, current: Fit, start: Hypothesis, wanted: float = np
     return start
 
 
-def _threshold_moved(data: Data, current: Fit, start: Hypothesis, index: int) -> Hypothesis:
-    """Move the parameter `index` of the last effect to where the effect explains most."""
+def _threshold_moved(
+    data: Data, current: Fit, start: Hypothesis, index: int, wanted: float
+) -> Hypothesis:
+    """Move the parameter `index` of the last effect to where the effect explains most.
+
+    Its size moves along only from there: of half or 1.5 times the right one an effect explains
+    three quarters, and of any at a wrong threshold hardly anything.
+    """
     candidate = start.effects[-1]
     low, high = ([getattr(p, end) for p in candidate.parameters] for end in ("low", "high"))
 
-    def at_best_of(places: Array) -> Hypothesis:
+    def at_best_of(places: Array, factors: Sequence[float]) -> tuple[Hypothesis, float]:
         offered = []
         for place in places:
-            for scale in SIZE_FACTORS:
+            for factor in factors:
                 sizes = start.values_of(-1).copy()
                 sizes[index] = place
-                sizes[list(candidate.amplitudes)] *= scale
+                sizes[list(candidate.amplitudes)] *= factor
                 offered.append(current.hypothesis.with_effect(candidate, np.clip(sizes, low, high)))
-        return offered[int(np.argmin(costs_refitted(data, current, offered)))]
+        costs = costs_refitted(data, current, offered)
+        best = int(np.argmin(costs))
+        return offered[best], float(costs[best])
 
     shown = [own[index] for own in candidate.starts]
     ends = np.array([min(shown), max(shown)]) * THRESHOLD_BEYOND
     places = np.geomspace(*ends, THRESHOLD_PLACES)
-    start = at_best_of(np.append(places, start.values_of(-1)[index]))
+    start, cost = at_best_of(np.append(places, start.values_of(-1)[index]), [1.0])
+    if cost > wanted:
+        return start
     for step in THRESHOLD_STEPS:
-        start = at_best_of(start.values_of(-1)[index] * np.array([1.0 / step, 1.0, step]))
+        near = start.values_of(-1)[index] * np.array([1.0 / step, 1.0, step])
+        start, _ = at_best_of(near, SIZE_FACTORS)
     return start
 
 
@@ -1633,6 +1684,11 @@ def stability_of(data: Data, final: Fit, others: Sequence[Fit]) -> float:
     lead = of_units[:, 1:] - of_units[:, :1]
     draws = np.random.default_rng(0).multinomial(units, np.full(units, 1.0 / units), RESAMPLES)
     return float(np.mean(np.all(draws @ lead > -EQUAL, axis=1)))
+
+
+def _limits(machine: Machine, screened: Sequence[Screened]) -> dict[str, dict[str, float]]:
+    """Return by effect what `_limit` says."""
+    return {one.candidate.name: _limit(machine, one) for one in screened}
 
 
 def _limit(machine: Machine, screened: Screened) -> dict[str, float]:
