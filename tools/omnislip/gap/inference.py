@@ -48,8 +48,10 @@ KEY_SECANT, SECANT = 0.002, 0.05
 FINE_SECANT = 0.1
 """By how much in norm the fine secants change the residuals: that of chance is the root of their
 number, some hundreds."""
-ALIKE = 4.0
-"""Factor within which a fine secant has the size of the one before it, if there is a derivative."""
+ALIKE, SMOOTH = 4.0, 2.0
+"""Factor within which a fine secant has the size of the one before it, if there is a derivative;
+and within which one that is larger has the size of one ALIKE times as fine, or finer: across a jump
+that grows as much."""
 STIFFEST_1_S, STIFFER = 2e4, 2.0
 """Rate of a model up to which it is followed, or times that of the model beside which it is tried:
 a gear so stiff is rigid to any log, and some are a thousand times as slow to follow."""
@@ -492,7 +494,9 @@ def linearise(
     secants of effects are then so short that the residuals change by FINE_SECANT. Strong effects
     need that: a column of norm n that is off by a share e feigns an information of (e n)^2 where
     two parameters cannot be told apart. What changes in steps (edges, thresholds, a limit that just
-    does not act) has no derivative: its fine secant is of another size, and the long one stays.
+    does not act) has no derivative: its fine secant is of another size, and the long one stays. But
+    where the long one goes far around (a number of cycles, over hundreds of turns), a finer one has
+    the size of the fine one.
     """
     longest = [_longest(model, first) for model in models]
     if last is None:
@@ -506,6 +510,16 @@ def linearise(
     for k, (own, size) in enumerate(zip(columns, sizes, strict=True)):
         found = np.linalg.norm(own, axis=0)
         odd = (fine[k] < longest[k]) & ~((found < ALIKE * size) & (size < ALIKE * found))
+        larger = odd & (found > size)
+        if larger.any():
+            finer = [np.where(larger, FINE_SECANT / np.maximum(found, FINE_SECANT), 0.0)]
+            _, [finest] = _secants(
+                data.residuals, data.believed, [models[k]], first, finer, [residuals[k]]
+            )
+            seen = np.linalg.norm(finest, axis=0)
+            smooth = larger & (seen < SMOOTH * found) & (found < SMOOTH * seen)
+            own[:, smooth] = finest[:, smooth]
+            odd &= ~smooth
         if odd.any():
             long = [np.where(odd, longest[k], 0.0)]
             _, [again] = _secants(
