@@ -25,6 +25,12 @@ MISTAKES = [
     Effect("encoder_sign", {}, 2),
     Effect("motor_sign", {}, 4),
 ]
+MOTORS_IN_OTHER_PLACES = [
+    Effect("wheel_permutation", {"wheels": [1, 2, 4, 3], "of": "both"}),
+    Effect("wheel_permutation", {"wheels": [2, 3, 1, 4], "of": "both"}),
+    Effect("wheel_permutation", {"wheels": [1, 3, 2, 4], "of": "motors"}),
+    Effect("wheel_permutation", {"wheels": [4, 3, 1, 2], "of": "motors"}),
+]
 
 
 def some_log() -> Log:
@@ -75,6 +81,42 @@ def test_a_sign_mended_twice_is_the_log_itself(effect):
 @pytest.mark.parametrize("sensors", [(), ("gyro", "pose")])
 def test_a_mistake_is_found_and_no_other(tmp_path, effect, sensors):
     assert find_wirings(MACHINE, logs_of(tmp_path, (as_hidden(effect),), sensors)) == [[effect]]
+
+
+@pytest.mark.parametrize("effect", MOTORS_IN_OTHER_PLACES)
+@pytest.mark.parametrize(
+    "signs", [[], [Effect("motor_sign", {}, 1), Effect("encoder_sign", {}, 2)]]
+)
+@pytest.mark.parametrize("sensors", [("pose",), ("gyro", "pose", "current")])
+def test_motors_may_have_changed_places_alone_or_with_their_encoders(
+    tmp_path, effect, signs, sensors
+):
+    logs = [miswired(log, [effect, *signs]) for log in logs_of(tmp_path, (), sensors)]
+    [found] = find_wirings(MACHINE, logs)
+    assert found[0] == effect
+    assert sorted(map(repr, found[1:])) == sorted(map(repr, signs))
+
+
+@pytest.mark.parametrize("of", ["encoders", "motors"])
+def test_without_gyro_and_camera_wheels_across_are_told_by_what_the_motors_feel(tmp_path, of):
+    """Rims add up to a motion of a body either way: to one that the duties cause or not."""
+    order = {"wheels": [3, 2, 1, 4]} | ({} if of == "encoders" else {"of": of})
+    across = Effect("wheel_permutation", order)
+    logs = [miswired(log, [across]) for log in logs_of(tmp_path, (), ())]
+    assert find_wirings(MACHINE, logs) == [[across]]
+
+
+def test_duty_and_current_of_motors_that_changed_places_move_together():
+    log = some_log()
+    currents = {f"wheel/{w}/current_a": 100.0 * w + np.arange(3.0) for w in range(1, 5)}
+    log = dataclasses.replace(log, columns=log.columns | currents)
+    moved = mend(log, [Effect("wheel_permutation", {"wheels": [2, 3, 4, 1], "of": "motors"})])
+    for column, wheel in ((1, 2), (2, 3), (3, 4), (4, 1)):
+        for signal in ("duty", "current_a"):
+            shown = log.columns[f"wheel/{column}/{signal}"]
+            assert np.array_equal(moved.columns[f"wheel/{wheel}/{signal}"], shown)
+        own = f"wheel/{wheel}/encoder_counts"
+        assert np.array_equal(moved.columns[own], log.columns[own])
 
 
 def test_two_mistakes_are_found_together(tmp_path):
@@ -183,7 +225,10 @@ def test_wheels_may_stand_at_any_angles(angles_deg, mistakes):
 def miswired(log, mistakes):
     """The log as these mistakes would have it: the reverse of `mend`."""
     backwards = [
-        Effect(m.name, {"wheels": [m.parameters["wheels"].index(w) + 1 for w in range(1, 5)]})
+        Effect(
+            m.name,
+            m.parameters | {"wheels": [m.parameters["wheels"].index(w) + 1 for w in range(1, 5)]},
+        )
         if m.name == "wheel_permutation"
         else m
         for m in reversed(mistakes)

@@ -161,6 +161,10 @@ EFFECT_MISTAKES = {
     "[[effects.weak_motor]]\nscale = 0.9\nwheel = true": ["effects.weak_motor.wheel"],
     "[[effects.dead_zone]]\nduty = 0.1\nrun = 'run_1'": ["dead_zone", "remove 'run'"],
     "[[effects.dead_zone]]\nduty = 0.1\n[[effects.dead_zone]]\nduty = 0.2": ["dead_zone", "twice"],
+    "[[effects.wheel_permutation]]\nwheels = [2, 1, 3, 4]\nof = 'wheels'": [
+        "wheel_permutation.of",
+        "'encoders' or 'motors' or 'both'",
+    ],
     "[[effects.wheel_permutation]]\nwheels = [1, 2, 3, 3]": [
         "wheel_permutation.wheels",
         "once each",

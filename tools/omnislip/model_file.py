@@ -122,8 +122,15 @@ MIN_ODOMETRY_WHEELS, MAX_ODOMETRY_WHEELS = 2, 8
 
 
 # Wiring mistakes are mended in the logs before the plant sees them. wheel_permutation: encoder
-# column i shows wheel wheels[i]; the signs: counts, or duty, of one wheel the other way round.
+# column i shows wheel wheels[i], or duty (and current) of column i are of that wheel, or both; the
+# signs: counts, or duty, of one wheel the other way round.
 WIRING = ("wheel_permutation", "encoder_sign", "motor_sign")
+PERMUTED = {
+    "encoders": ("encoder_counts",),
+    "motors": ("duty", "current_a"),
+    "both": ("encoder_counts", "duty", "current_a"),
+}
+"""Columns of a wheel that have changed places, by `of`; without it those of the encoders."""
 # A push in one run, world frame, at the centre of gravity: the log is cut there.
 IMPACT_KEYS = ("time_s", "impulse_x_n_s", "impulse_y_n_s", "impulse_theta_n_m_s")
 # Effects that are added to a mass or an inertia, and the keys of which one holds it: something of
@@ -140,7 +147,7 @@ class Effect:
     """One effect of the catalogue; `wheel` None means all wheels, `run` None all runs."""
 
     name: str
-    parameters: dict[str, float | list[int]]
+    parameters: dict[str, float | str | list[int]]
     wheel: int | None = None
     run: str | None = None
 
@@ -519,11 +526,16 @@ def _read_wiring(name: str, table: object, path: Path) -> Effect:
     where = f"effects.{name}"
     table = dict(check_table(table, where, path))
     if name == "wheel_permutation":
-        check_known(table, ["wheels"], f"parameter of effect '{name}'", path)
+        check_known(table, ["wheels", "of"], f"parameter of effect '{name}'", path)
         wheels = check_numbers(table.get("wheels"), 4, f"{where}.wheels", path)
         if sorted(wheels) != [1.0, 2.0, 3.0, 4.0]:
             raise InputError(f"{path}: '{where}.wheels' must hold 1, 2, 3 and 4 once each")
-        return Effect(name, {"wheels": [int(wheel) for wheel in wheels]})
+        of = table.get("of", "encoders")
+        if of not in list(PERMUTED):
+            known = " or ".join(f"'{one}'" for one in PERMUTED)
+            raise InputError(f"{path}: '{where}.of' must be {known}, not {of!r}")
+        order = {"wheels": [int(wheel) for wheel in wheels]}
+        return Effect(name, order | ({"of": of} if "of" in table else {}))
     check_known(table, ["wheel"], f"parameter of effect '{name}'", path)
     single = {"name": name, "scope": "single"}
     return Effect(name, {}, _read_wheel(table.get("wheel"), single, 4, path))

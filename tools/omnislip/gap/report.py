@@ -141,8 +141,8 @@ GATE_TEXTS = {
         "equation": "jump of the body's momentum, world frame",
     },
     "wheel_permutation": {
-        "summary": "The encoders are connected in another order than the motors.",
-        "equation": "encoder column i shows wheel wheels[i]",
+        "summary": "Encoders, motors or both are connected in another order than the columns say.",
+        "equation": "column i is of wheel wheels[i]",
     },
     "encoder_sign": {
         "summary": "An encoder counts the wrong way round.",

@@ -1,9 +1,9 @@
 """Wiring: swapped encoders and reversed signs, found before anything else and mended in the logs.
 
-Every wiring is tried: 24 permutations of the encoders, 16 sets of their signs, and for each of them
-the best of 16 sets of the motors' signs. Each is judged by kinematics over windows of 0.2 s, in
-metres of rim. Mended, the ways r of the wheels have to be those of a body, and each has to follow
-its duty:
+Every wiring is tried: 24 permutations of the encoders, of the motors, or of both (wheels that are
+counted in another order), 16 sets of the encoders' signs, and for each of them the best of 16 sets
+of the motors' signs. Each is judged by kinematics over windows of 0.2 s, in metres of rim. Mended,
+the ways r of the wheels have to be those of a body, and each has to follow its duty:
 
     sum |Q (r - J b)| + sum |r - p|      J, b of eq. (3); p: way of the unloaded motor, with a lag
 
@@ -14,8 +14,7 @@ from any physics that the right one shows at once; nothing is fitted and no nois
 What logs cannot tell is left open (all encoders reversed or all motors, without gyro and camera).
 Of wirings that explain the logs alike the one with the fewest mistakes is the answer. Everything
 reversed at once, motors and encoders, shows against a camera only: to a gyro alone it looks like a
-gyro that is upside down. Motors that have changed places are no mistake that is tried: the wheels
-and their encoders would then agree, and no duty with either.
+gyro that is upside down.
 """
 
 from collections.abc import Sequence
@@ -30,14 +29,16 @@ from omnislip.gap.machine import Machine
 from omnislip.gap.noise import first_guess, track_all
 from omnislip.gap.recordings import make_run, unwrap_counts, wheel_jacobian
 from omnislip.log_file import POSE_COLUMNS, Log
-from omnislip.model_file import WIRING, Effect
+from omnislip.model_file import PERMUTED, WIRING, Effect
 
 Array = npt.NDArray[np.float64]
 
+ENCODERS, MOTORS, BOTH = PERMUTED
 LOOK_AT_S = 12.0
 GRID_S, WINDOW_S = 0.01, 0.2
-LIKELIEST = 12
-"""How many wirings the filter judges."""
+LIKELIEST, AS_NEAR = 12, 1e-3
+"""How many wirings the filter judges, and share of what is off by which one mistake more must be
+nearer to come first."""
 BETTER = 0.9
 """A motor that is driven forwards must be off by less than this share of backwards."""
 CLEARLY_BETTER = 0.25
@@ -55,10 +56,11 @@ def mend(log: Log, effects: Sequence[Effect]) -> Log:
     columns = dict(log.columns)
     for effect in effects:
         if effect.name == "wheel_permutation":
-            names = [f"wheel/{wheel}/encoder_counts" for wheel in range(1, 5)]
-            shown = [columns[name] for name in names]
-            for column, wheel in zip(shown, effect.parameters["wheels"], strict=True):
-                columns[f"wheel/{wheel}/encoder_counts"] = column
+            for signal in PERMUTED[effect.parameters.get("of", ENCODERS)]:
+                shown = [columns.pop(f"wheel/{wheel}/{signal}", None) for wheel in range(1, 5)]
+                for column, wheel in zip(shown, effect.parameters["wheels"], strict=True):
+                    if column is not None:
+                        columns[f"wheel/{wheel}/{signal}"] = column
         elif effect.name in WIRING:
             # The driver measures the current in the sense of its duty.
             turned = ("encoder_counts",) if effect.name == "encoder_sign" else ("duty", "current_a")
@@ -91,19 +93,32 @@ def find_wirings(machine: Machine, logs: Sequence[Log]) -> list[list[Effect]]:
     tried.sort(key=lambda one: one[0])
     alike = [mistakes for misfit, mistakes in tried if misfit < most]
     fewest = min(len(mistakes) for mistakes in alike)
-    return [mistakes for mistakes in alike if len(mistakes) == fewest]
+    return sorted((mistakes for mistakes in alike if len(mistakes) == fewest), key=_what_moved)
+
+
+def _what_moved(mistakes: Sequence[Effect]) -> int:
+    """Order of wirings that explain the logs alike: encoders are the likeliest to change places."""
+    moved = [effect.parameters.get("of", ENCODERS) for effect in mistakes]
+    return max(map(list(PERMUTED).index, moved), default=0)
 
 
 def _likeliest(machine: Machine, logs: Sequence[Log]) -> list[list[Effect]]:
-    """Mistakes of the wirings that kinematics prefer to the logs' own, likeliest first."""
+    """Mistakes of the wirings that kinematics prefer to the logs' own, likeliest first.
+
+    Of those that are as near, the fewest mistakes: mirrored wheels with signs are like signs alone.
+    """
     tried = _tried(machine, logs)
     as_logged = next(off for off, mistakes in tried if not mistakes)
-    better = sorted((one for one in tried if one[0] < as_logged), key=lambda one: one[0])
+    better = [one for one in tried if one[0] < as_logged]
+    better.sort(key=lambda one: one[0] * (1.0 + AS_NEAR * len(one[1])))
     return [mistakes for _, mistakes in better[:LIKELIEST]]
 
 
 def _tried(machine: Machine, logs: Sequence[Log]) -> list[tuple[float, list[Effect]]]:
-    """Metres off and mistakes of every wiring of the encoders, motors as logged or as suits it."""
+    """Metres off and mistakes of every order of columns and every sign of the encoders.
+
+    Motors turn as logged or as suits it.
+    """
     ways = [_ways(machine, log) for log in logs]
     rim, driven, shown = (np.concatenate(columns) for columns in zip(*ways, strict=True))
     known = ~np.isnan(shown)
@@ -115,30 +130,37 @@ def _tried(machine: Machine, logs: Sequence[Log]) -> list[tuple[float, list[Effe
         cases.append(((known == pattern).all(axis=1), np.eye(4) - free @ np.linalg.pinv(free)))
     most_signs = 8 if known.all(axis=1).any() else MOST_SIGNS
     tried = []
-    for order in permutations(range(4)):
-        placed = np.empty_like(rim)
-        placed[:, order] = rim
+    in_place = tuple(range(4))
+    orders = [(in_place, ENCODERS)]
+    orders += [(o, of) for o in permutations(in_place) if o != in_place for of in PERMUTED]
+    for order, of in orders:
+        encoders = np.argsort(order if of != MOTORS else in_place)
+        motors = np.argsort(order if of != ENCODERS else in_place)
         for encoder_signs in product((1, -1), repeat=4):
-            way = placed * encoder_signs
-            forward, backward = (np.abs(way - sign * driven).sum(axis=0) for sign in (1, -1))
+            way, duty_way = rim[:, encoders] * encoder_signs, driven[:, motors]
+            forward, backward = (np.abs(way - sign * duty_way).sum(axis=0) for sign in (1, -1))
             off_body = sum(np.abs((way[rows] - body[rows]) @ q).sum() for rows, q in cases)
             suiting = backward < BETTER * forward
-            for motors in np.unique([np.zeros(4, dtype=bool), suiting], axis=0):
-                mistakes = _mistakes(order, np.array(encoder_signs) < 0, motors)
+            for turned in np.unique([np.zeros(4, dtype=bool), suiting], axis=0):
+                mistakes = _mistakes(order, of, np.array(encoder_signs) < 0, turned)
                 if sum(mistake.name != "wheel_permutation" for mistake in mistakes) <= most_signs:
-                    off = float(off_body + np.where(motors, backward, forward).sum())
+                    off = float(off_body + np.where(turned, backward, forward).sum())
                     tried.append((off, mistakes))
     return tried
 
 
 def _mistakes(
     order: tuple[int, ...],
+    of: str,
     reversed_encoders: npt.NDArray[np.bool_],
     reversed_motors: npt.NDArray[np.bool_],
 ) -> list[Effect]:
-    """Column k of the encoders shows wheel order[k] (from 0)."""
-    wheels = [wheel + 1 for wheel in order]
-    mistakes = [Effect("wheel_permutation", {"wheels": wheels})] if order != (0, 1, 2, 3) else []
+    """Column k of the encoders, motors or both is of wheel order[k] (from 0)."""
+    mistakes = []
+    if order != tuple(range(4)):
+        columns = {"wheels": [wheel + 1 for wheel in order]}
+        columns |= {} if of == ENCODERS else {"of": of}
+        mistakes.append(Effect("wheel_permutation", columns))
     mistakes += [Effect("encoder_sign", {}, int(k) + 1) for k in np.flatnonzero(reversed_encoders)]
     return mistakes + [
         Effect("motor_sign", {}, int(k) + 1) for k in np.flatnonzero(reversed_motors)
