@@ -48,6 +48,9 @@ def robot_case(folder, *effects, drop=(), **case):
     return folder / "robot.toml", logs
 
 
+BY_FAR = Evidence(1e6, 60.0, 0.1, np.eye(1), 0.0)
+
+
 def selected(name, gain, inflation=1.0, variation=0.0, left=0.0):
     candidate = next(c for c in ROBOT.candidates() if c.effect == name)
     evidence = Evidence(gain, inflation, 0.0, np.eye(1), variation)
@@ -144,6 +147,12 @@ def test_names_that_do_not_bring_held_out_runs_nearer_are_not_given(excess, erro
     assert verdict_of([selected("coulomb_friction", 1e5)], table=table) == verdict
 
 
+@pytest.mark.parametrize("error, verdict", [(1.9, "effect_found"), (0.5, "unknown_effect")])
+def test_a_friction_law_that_leaves_something_is_the_usual_case(error, verdict):
+    table = SimpleNamespace(left=Left(2.0, error), closed=Closed(0.3, -0.2, 0.5))
+    assert verdict_of([selected("contact_shape", 1e5)], table=table) == verdict
+
+
 @pytest.mark.parametrize(
     ("gain", "feigned_gain", "named", "verdict"),
     [
@@ -158,7 +167,12 @@ def test_what_is_refused_is_something_where_it_gains_more_than_anything_feigns(
 ):
     evidence = Evidence(gain, 1.0, 0.0, np.eye(1), 0.0)
     refused = SimpleNamespace(
-        step=1, accepted=False, checked=True, validation_gain=-1.0, evidence=evidence
+        step=1,
+        accepted=False,
+        checked=True,
+        validation_gain=-1.0,
+        evidence=evidence,
+        candidate=SimpleNamespace(effect="coulomb_friction"),
     )
     effects = [selected("coulomb_friction", named)] if named else []
     assert verdict_of(effects, feigned_gain=feigned_gain, trials=(refused,)) == verdict
@@ -178,13 +192,23 @@ def test_what_is_refused_is_something_where_it_gains_more_than_anything_feigns(
 def test_what_explains_much_in_few_places_is_something_unless_names_cover_it(
     gain, named, closed_low, last, verdict
 ):
-    """So much, though that inflation leaves it to chance; not what gave way to what was taken."""
+    """So much, though that inflation leaves it to chance; not what gave way to what was taken.
+
+    Nor another law of friction: no robot has the believed one.
+    """
     evidence = Evidence(gain, 60.0, 0.1, np.eye(1), 0.0)
     trials = [
         SimpleNamespace(
-            step=1, accepted=False, checked=True, validation_gain=1.0, evidence=evidence
+            step=1,
+            accepted=False,
+            checked=True,
+            validation_gain=1.0,
+            evidence=evidence,
+            candidate=SimpleNamespace(effect="coulomb_friction"),
         )
     ]
+    of_friction = SimpleNamespace(effect="contact_shape")
+    trials.append(replace_namespace(trials[0], evidence=BY_FAR, candidate=of_friction))
     if not last:
         trials.append(replace_namespace(trials[0], accepted=True))
     effects = [selected("coulomb_friction", named)] if named else []

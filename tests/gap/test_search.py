@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from axis_bench import Bench, make_log, make_machine, make_runs, silent
 from omnislip.gap import search as search_module
-from omnislip.gap.inference import Data, fit, weigh
+from omnislip.gap.inference import Data, fit, linearise, weigh
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import RunawayError, track_all
 from omnislip.gap.recordings import make_run
@@ -613,6 +613,48 @@ def test_magnets_are_counted_in_whole_numbers_where_the_log_allows(tmp_path, mag
     else:
         assert counted[1] == pytest.approx(magnets, abs=0.01)
         assert counted[1] != round(counted[1])
+
+
+def test_the_derivative_by_a_number_of_cycles_is_that_at_the_place(tmp_path):
+    """The first secant turns the phase around; what it gives may be many times too small."""
+    robot, runs, candidates = robot_with_magnets(7.0, tmp_path)
+    start = believed_hypothesis(robot).with_effect(candidates["cogging"], [0.008, 7.0, 1.0])
+    data, fitted = settle(robot, runs, start)
+    number = len(fitted.hypothesis.x) - 2
+    _, [around] = linearise(data, [fitted.hypothesis])
+    _, [found] = linearise(data, [fitted.hypothesis], last=[0.1 * around])
+    size = np.linalg.norm(found[:, number])
+    ends = []
+    for sign in (1.0, -1.0):
+        x = fitted.hypothesis.x.copy()
+        x[number] += sign * 1e-2 / size * fitted.hypothesis.parameters[number].scale
+        ends.append(data.residuals(fitted.hypothesis.flat(data.believed, x)[None])[0])
+    right = (ends[0] - ends[1]) / (2e-2 / size)
+    assert np.linalg.norm(found[:, number] - right) < 0.01 * size
+    assert np.linalg.norm(around[:, number] - right) > 0.3 * size
+
+
+@pytest.mark.parametrize("fraction", [0.0, 0.3])
+def test_what_any_friction_law_leaves_is_no_falling_grip(tmp_path, fraction):
+    """Keys and blend take most of a brush of bristles; a grip that falls by a third they do not."""
+    hidden = (HiddenEffect("grip_falloff", {"fraction": fraction, "speed_m_s": 0.3}),)
+    case = TruthCase(
+        seed=510,
+        effects=tuple(one.as_dict() for one in hidden if fraction),
+        friction_curve="atan" if fraction else "brush",
+        excitation="rich",
+        runs=2,
+        run_duration_s=4.0,
+    )
+    robot, runs, candidates = robot_runs(case, tmp_path)
+    start = believed_hypothesis(robot).with_effect(candidates["contact_shape"], [0.1])
+    data, curved = settle(robot, runs, start)
+    sizes = [max(fraction, 0.03), 0.3]
+    falling = fit(data, curved.hypothesis.with_effect(candidates["grip_falloff"], sizes))
+    assert curved.objective - falling.objective > 10.0
+    assert search_module._within_law(data, curved, falling, 1) == (fraction == 0.0)
+    rubbing = fit(data, curved.hypothesis.with_effect(candidates["coulomb_friction"], [1e-3]))
+    assert not search_module._within_law(data, curved, rubbing, 1)
 
 
 def test_mass_and_inertia_of_an_axis_cannot_be_told_apart(machine):

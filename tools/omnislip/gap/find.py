@@ -57,8 +57,10 @@ from omnislip.gap.recordings import (
 )
 from omnislip.gap.search import (
     CONFIDENCE,
+    CURVES,
     FEW_TUNINGS,
     SURE_GAIN,
+    WITHIN_LAW,
     MistakenError,
     Outcome,
     Selected,
@@ -88,6 +90,7 @@ RUNS_TO_HOLD_OUT_WHOLE = 5
 SERIES_TO_HOLD_OUT_WHOLE = 3
 LEAST_UNITS, LEAST_PART_S = 5, 2.0
 """Parts of runs that check each other, where the logs are few, and their least length."""
+FRICTION_OVER_SLIP = (CURVE, *CURVES)
 HELD_OUT_SHARE = 0.25
 WHOLE_RUNS = ("whole series (folders) of runs", "whole runs")
 """How runs are held out where there are enough."""
@@ -344,7 +347,7 @@ def find_gap(
     cautions += weak_names(outcome.selected)
     cautions += [f"Besides, {unchecked}."] if unchecked else []
     cautions += [unproven] if unproven else []
-    if verdict == "unknown_effect" and _much_is_left(table):
+    if verdict == "unknown_effect" and _much_is_left(table, outcome.selected):
         elsewhere = _only_held_out(split, fitted_replays)
         if elsewhere:
             cautions, places, gap_map = [*cautions, elsewhere], [], None
@@ -431,7 +434,7 @@ def _closes_nothing(selected: Sequence[Selected], table: GapTable) -> bool:
     They surely close less than half of what is off there. Or nothing is off, which may be so with a
     weak effect that shows sample by sample; but then its name has to be stable.
     """
-    if _much_is_left(table):
+    if _much_is_left(table, selected):
         return False
     if table.closed.high is None:
         return all(one.stability < STABLE for one in selected)
@@ -553,7 +556,11 @@ def _verdict(
     outcome: Outcome, table: GapTable, mended: bool, shares: Sequence[Predictable], jolts: bool
 ) -> str:
     """Name effects only if they explain what is to be explained."""
-    if _missing_terms(outcome) or _surely_refused(outcome) or _much_is_left(table):
+    if (
+        _missing_terms(outcome)
+        or _surely_refused(outcome)
+        or _much_is_left(table, outcome.selected)
+    ):
         return "unknown_effect"
     if _refused_in_places(outcome, table):
         return "unknown_effect"
@@ -634,13 +641,13 @@ def _refused_in_places(outcome: Outcome, table: GapTable) -> Trial | None:
 
     Something is there, then, that has none of the shapes that are known. What is named covers that
     where it surely closes half of the gap, or gains so much more that its own shape, a seventh off,
-    leaves as much.
+    leaves as much. What changes the friction over slip is no news.
     """
     trials = _last_trials(outcome)
     if any(trial.accepted for trial in trials) or (table.closed.low or 0.0) > PROVEN:
         return None
     named = sum(s.evidence.gain for s in outcome.selected)
-    checked = [trial for trial in trials if trial.checked]
+    checked = [t for t in trials if t.checked and t.candidate.effect not in FRICTION_OVER_SLIP]
     most = max(checked, key=lambda trial: trial.evidence.gain, default=None)
     least = max(IN_PLACES, outcome.data.feigned_gain, IN_PLACES_SHARE * named)
     return most if most and most.evidence.gain > least else None
@@ -648,7 +655,7 @@ def _refused_in_places(outcome: Outcome, table: GapTable) -> Trial | None:
 
 def _unchecked(outcome: Outcome) -> str | None:
     """Say what is sure, but seen where no other run can check it; None if nothing is."""
-    trial = _surest(outcome, lambda trial: not trial.checked)
+    trial = _surest(outcome, lambda trial: not trial.checked and trial.reason != WITHIN_LAW)
     if trial is None:
         return None
     machine, candidate = outcome.data.machine, trial.candidate
@@ -680,11 +687,12 @@ def _last_trials(outcome: Outcome) -> list[Trial]:
     return [trial for trial in outcome.trials if trial.step == last]
 
 
-def _much_is_left(table: GapTable) -> bool:
+def _much_is_left(table: GapTable, selected: Sequence[Selected]) -> bool:
     """Whether replays of held-out runs stay clearly above the floor.
 
     With effects: they surely close less than `EXPLAINED` of the gap, and what is left is more than
-    its own error. Without: against repeated manoeuvres, for the predictor's own noise takes a gap
+    its own error (surely more, where only the friction over slip is named, which is never quite
+    right). Without: against repeated manoeuvres, for the predictor's own noise takes a gap
     that nothing explains for chance. Far above in any case, if more than one window says so: a
     held-out run may hold what no fitted one does, and of what comes and goes the mean is as
     uncertain as it is large.
@@ -694,7 +702,10 @@ def _much_is_left(table: GapTable) -> bool:
         return False
     far, error = left.excess > FAR_EXCESS, left.standard_error
     if closed.high is not None:
-        return (far or left.excess >= error) and closed.high < EXPLAINED
+        errors = (
+            1.0 if any(s.candidate.effect not in FRICTION_OVER_SLIP for s in selected) else SURE
+        )
+        return (far or left.excess >= errors * error) and closed.high < EXPLAINED
     if left.excess >= SURE * error and table.floor_source == REPEATED:
         return True
     return far and error < np.inf
@@ -1019,7 +1030,7 @@ def _sentence(
             text += f"; {refused.candidate.name} explains much of it in some runs and spoils others"
         elif refused := _refused_in_places(outcome, table):
             text += f"; {refused.candidate.name} explains much of it, but in few places only"
-        if _much_is_left(table):
+        if _much_is_left(table, outcome.selected):
             off = (1.0 + table.left.excess) ** 0.5
             text += f"; replays of held-out runs are {off:.2g} noise floors off"
         if ends := _keys_at_their_ends(outcome):
@@ -1065,7 +1076,9 @@ def _advice(selected: Sequence[Selected], manoeuvres: dict[str, Separation]) -> 
 def _wiring_words(effect: Effect) -> str:
     if effect.name == "wheel_permutation":
         order = ", ".join(str(wheel) for wheel in effect.parameters["wheels"])
-        return f"wheel_permutation (the encoder columns show wheels {order})"
+        of = effect.parameters.get("of", "encoders")
+        columns = "columns" if of == "both" else f"columns of the {of}"
+        return f"wheel_permutation (the {columns} are those of wheels {order})"
     return f"{effect.name} (wheel {effect.wheel})"
 
 

@@ -120,6 +120,12 @@ size."""
 CURVES = ("low_grip", "slip_stiffness_error", "grip_falloff")
 """What changes the friction over slip: where its curve is not the believed one, two of these can
 stand for one of them beside another curve."""
+LAW_SHARE = 4e-4
+"""Square of how far the friction over slip is off its law on any floor: 2 %. Laws of four families,
+the keys of another one fitted to them, left 0.4 to 1.3 % to one of the above."""
+LESS_GRIP = 0.05
+"""Share of the grip by which to see what friction does."""
+WITHIN_LAW = "no more than friction is off its law on any floor"
 CONFIDENCE = 1.959964
 """Standard deviations of a 95 % interval."""
 PROFILE_STEPS, PROFILE_BETWEEN = 0.5 ** np.arange(12.0, -1.0, -1.0), 9
@@ -811,6 +817,8 @@ def _judge(
         off = 100 * SHAPE_SHARE**0.5
         reason = f"real perhaps, but effects found would leave as much if {off:.0f} % off in shape"
         passed = False
+    if passed and _within_law(data, without, fitted, index):
+        reason, passed = WITHIN_LAW, False
     if passed and not _differs(candidate, values - absent, evidence):
         reason, passed = "its size cannot be told from none beside the other parameters", False
     sure = evidence.beyond_chance > SURE_GAIN
@@ -884,6 +892,7 @@ class _Ahead:
         chance has too much choice.
         Pairs with a weaker first effect are tried only where none with a stronger one passes.
         """
+        refused = [pair for pair in refused if pair[0].reason != WITHIN_LAW]
         clear = [pair for pair in refused if pair[0].evidence.beyond_chance > AHEAD_GAIN]
         clear = sorted(clear, key=lambda pair: pair[1].objective)[:BEAM]
         rest = {pair[0].candidate.name: pair for pair in refused}
@@ -1117,6 +1126,8 @@ def _both_pass(data: Data, without: Fit, both: Fit, check: Check, tried: int) ->
             return False
         if evidence.beyond_chance < SHAPE_SHARE * _left_by_others(data, rest, both, index):
             return False
+        if _within_law(data, rest, both, index):
+            return False
         absent = _neutral(data, rest.hypothesis, effect)
         if not _differs(effect, sizes - absent, evidence) or _within_row(data, effect, sizes):
             return False
@@ -1228,6 +1239,26 @@ def _left_by_others(data: Data, without: Fit, fitted: Fit, index: int) -> float:
     return left_by_shapes(
         data, fitted, change, without.residual, lambda effect: 0.0 if effect is own else 1.0
     )
+
+
+def _within_law(data: Data, without: Fit, fitted: Fit, index: int) -> bool:
+    """Whether effect `index` changes the friction over slip by no more than any law is off.
+
+    As `left_by_shapes` has it, for what friction does as a whole: all of it, for it is proportional
+    to the grip.
+    """
+    effect = fitted.hypothesis.effects[index]
+    if effect.effect not in CURVES:
+        return False
+    change = without.residual - fitted.residual
+    square = float(change @ change)
+    if not square:
+        return True
+    less = fitted.hypothesis.flat(data.believed)
+    less[list(data.machine.place("low_grip", "scale", None))] *= 1.0 - LESS_GRIP
+    [slipping] = data.residuals(less[None])
+    overlap = float(np.abs(slipping - fitted.residual) @ np.abs(change)) / LESS_GRIP
+    return without.objective - fitted.objective < LAW_SHARE * overlap**2 / square
 
 
 def _within_row(data: Data, candidate: Candidate, sizes: Array) -> bool:
@@ -1346,6 +1377,7 @@ def _drop_needless(data: Data, fitted: Fit, tried: int) -> Fit:
             or one.beyond_chance < data.feigned_gain
             or one.beyond_chance
             < SHAPE_SHARE * _left_by_others(data, without[index], fitted, index)
+            or _within_law(data, without[index], fitted, index)
         ]
         if not needless:
             break
@@ -1403,7 +1435,9 @@ def _one_of_curve(
     starts = screen(data, curved, [known[name] for name in others])
     best, likeliest, name = (data, fitted), _log_posterior(data, fitted), ""
     for one in side_by_side(lambda start: _refit(data, curved, [start])[0], starts):
-        if one.objective > allowed:
+        if one.objective > allowed or _within_law(
+            data, curved, one, len(curved.hypothesis.effects)
+        ):
             continue
         try:
             other = _with_own_noise(data, one)
@@ -1448,6 +1482,8 @@ def _takes_its_place(data: Data, effect: Candidate, own: "_Compared", rival: Fit
     spared = len(effect.parameters) - len(candidate.parameters)
     as_good = spared > 0 and _no_more_than_chance(lost, judged.inflation, spared)
     if not as_good and -lost <= RIVAL_MARGIN * evidence.inflation:
+        return False
+    if _within_law(data, without, rival, -1):
         return False
     [check] = check_unseen(data, without, [rival])
     return check.helps and not _within_row(data, candidate, sizes)
@@ -1556,7 +1592,10 @@ def _likeliest(
             likelihood = _log_posterior(*own)
             margin = 0.0 if lost < -RIVAL_MARGIN else 0.5 * RIVAL_MARGIN
             enough = own_likelihood + margin * compared[index].evidence.inflation
-            if likelihood > enough and _helps_unseen(*own, name):
+            lawful = _within_law(
+                data, compared[index].without, rival, len(final.hypothesis.effects) - 1
+            )
+            if likelihood > enough and not lawful and _helps_unseen(*own, name):
                 likelier.append((likelihood, *own, effect, name))
         if not likelier:
             break
