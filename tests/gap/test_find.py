@@ -173,6 +173,7 @@ def test_what_is_refused_is_something_where_it_gains_more_than_anything_feigns(
         validation_gain=-1.0,
         evidence=evidence,
         candidate=SimpleNamespace(effect="coulomb_friction"),
+        chance=0.0,
     )
     effects = [selected("coulomb_friction", named)] if named else []
     assert verdict_of(effects, feigned_gain=feigned_gain, trials=(refused,)) == verdict
@@ -194,7 +195,8 @@ def test_what_explains_much_in_few_places_is_something_unless_names_cover_it(
 ):
     """So much, though that inflation leaves it to chance; not what gave way to what was taken.
 
-    Nor another law of friction: no robot has the believed one.
+    Nor another law of friction, for no robot has the believed one; nor what is no chance, but
+    refused for another reason.
     """
     evidence = Evidence(gain, 60.0, 0.1, np.eye(1), 0.0)
     trials = [
@@ -205,10 +207,12 @@ def test_what_explains_much_in_few_places_is_something_unless_names_cover_it(
             validation_gain=1.0,
             evidence=evidence,
             candidate=SimpleNamespace(effect="coulomb_friction"),
+            chance=0.1,
         )
     ]
     of_friction = SimpleNamespace(effect="contact_shape")
     trials.append(replace_namespace(trials[0], evidence=BY_FAR, candidate=of_friction))
+    trials.append(replace_namespace(trials[0], evidence=BY_FAR, chance=1e-4))
     if not last:
         trials.append(replace_namespace(trials[0], accepted=True))
     effects = [selected("coulomb_friction", named)] if named else []

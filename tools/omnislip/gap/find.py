@@ -56,6 +56,7 @@ from omnislip.gap.recordings import (
     unused_columns,
 )
 from omnislip.gap.search import (
+    ALPHA,
     CONFIDENCE,
     CURVES,
     FEW_TUNINGS,
@@ -647,7 +648,8 @@ def _refused_in_places(outcome: Outcome, table: GapTable) -> Trial | None:
     if any(trial.accepted for trial in trials) or (table.closed.low or 0.0) > PROVEN:
         return None
     named = sum(s.evidence.gain for s in outcome.selected)
-    checked = [t for t in trials if t.checked and t.candidate.effect not in FRICTION_OVER_SLIP]
+    trials = [t for t in trials if t.candidate.effect not in FRICTION_OVER_SLIP]
+    checked = [trial for trial in trials if trial.checked and trial.chance >= ALPHA]
     most = max(checked, key=lambda trial: trial.evidence.gain, default=None)
     least = max(IN_PLACES, outcome.data.feigned_gain, IN_PLACES_SHARE * named)
     return most if most and most.evidence.gain > least else None
