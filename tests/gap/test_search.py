@@ -189,6 +189,23 @@ def test_two_effects_are_both_named(machine):
     assert sorted(names(outcome)) == ["coulomb_friction", "dead_zone"]
 
 
+@pytest.mark.parametrize("rubs", [True, False])
+def test_a_search_goes_on_from_one_before_only_if_all_of_that_holds(machine, outcomes, rubs):
+    """Where nothing rubs, friction that was found before is looked for from the beginning."""
+    before = outcomes["coulomb_friction"]
+    told = []
+    runs = make_runs(machine, Bench(coulomb_n=2.0 if rubs else 0.0), [*range(20, 28)])
+    outcome = search(machine, runs, None, told.append, before=before)
+    went_on = "going on from what was found before" in told
+    assert went_on == rubs
+    assert names(outcome) == (["coulomb_friction"] if rubs else [])
+    assert outcome.limits.keys() == before.limits.keys()
+    if rubs:
+        first, *_ = outcome.trials
+        assert first in before.trials
+        assert max(trial.step for trial in outcome.trials if trial.accepted) == 1
+
+
 def test_what_gave_way_to_another_is_looked_for_again(machine, monkeypatch):
     """Where both are there: one explained the other's part as long as that was missing."""
     swap, calls = search_module._swap, []

@@ -33,7 +33,7 @@ from omnislip.model_file import PERMUTED, WIRING, Effect
 
 Array = npt.NDArray[np.float64]
 
-ENCODERS, MOTORS, BOTH = PERMUTED
+ENCODERS, MOTORS, _ = PERMUTED
 LOOK_AT_S = 12.0
 GRID_S, WINDOW_S = 0.01, 0.2
 LIKELIEST, AS_NEAR = 12, 1e-3
