@@ -125,12 +125,15 @@ MIN_ODOMETRY_WHEELS, MAX_ODOMETRY_WHEELS = 2, 8
 # column i shows wheel wheels[i], or duty (and current) of column i are of that wheel, or both; the
 # signs: counts, or duty, of one wheel the other way round.
 WIRING = ("wheel_permutation", "encoder_sign", "motor_sign")
-PERMUTED = {
+WHEEL_COLUMNS = {
     "encoders": ("encoder_counts",),
     "motors": ("duty", "current_a"),
     "both": ("encoder_counts", "duty", "current_a"),
 }
-"""Columns of a wheel that have changed places, by `of`; without it those of the encoders."""
+"""Columns of a wheel that have changed places, by `of`; without it those of the encoders.
+
+The driver measures the current in the sense of its duty."""
+ENCODERS, MOTORS, BOTH = WHEEL_COLUMNS
 # A push in one run, world frame, at the centre of gravity: the log is cut there.
 IMPACT_KEYS = ("time_s", "impulse_x_n_s", "impulse_y_n_s", "impulse_theta_n_m_s")
 # Effects that are added to a mass or an inertia, and the keys of which one holds it: something of
@@ -530,9 +533,9 @@ def _read_wiring(name: str, table: object, path: Path) -> Effect:
         wheels = check_numbers(table.get("wheels"), 4, f"{where}.wheels", path)
         if sorted(wheels) != [1.0, 2.0, 3.0, 4.0]:
             raise InputError(f"{path}: '{where}.wheels' must hold 1, 2, 3 and 4 once each")
-        of = table.get("of", "encoders")
-        if of not in list(PERMUTED):
-            known = " or ".join(f"'{one}'" for one in PERMUTED)
+        of = table.get("of", ENCODERS)
+        if of not in list(WHEEL_COLUMNS):
+            known = " or ".join(f"'{one}'" for one in WHEEL_COLUMNS)
             raise InputError(f"{path}: '{where}.of' must be {known}, not {of!r}")
         order = {"wheels": [int(wheel) for wheel in wheels]}
         return Effect(name, order | ({"of": of} if "of" in table else {}))

@@ -58,8 +58,8 @@ from omnislip.gap.recordings import (
 from omnislip.gap.search import (
     ALPHA,
     CONFIDENCE,
-    CURVES,
     FEW_TUNINGS,
+    FRICTION_OVER_SLIP,
     SURE_GAIN,
     WITHIN_LAW,
     MistakenError,
@@ -74,6 +74,8 @@ from omnislip.gap.where import Map, Place, describe, map_gap
 from omnislip.gap.wiring import find_wirings, mend
 from omnislip.log_file import Log, read_logs, without_copies
 from omnislip.model_file import (
+    BOTH,
+    ENCODERS,
     IMPACT_KEYS,
     Effect,
     Model,
@@ -91,7 +93,6 @@ RUNS_TO_HOLD_OUT_WHOLE = 5
 SERIES_TO_HOLD_OUT_WHOLE = 3
 LEAST_UNITS, LEAST_PART_S = 5, 2.0
 """Parts of runs that check each other, where the logs are few, and their least length."""
-FRICTION_OVER_SLIP = (CURVE, *CURVES)
 HELD_OUT_SHARE = 0.25
 WHOLE_RUNS = ("whole series (folders) of runs", "whole runs")
 """How runs are held out where there are enough."""
@@ -1078,8 +1079,8 @@ def _advice(selected: Sequence[Selected], manoeuvres: dict[str, Separation]) -> 
 def _wiring_words(effect: Effect) -> str:
     if effect.name == "wheel_permutation":
         order = ", ".join(str(wheel) for wheel in effect.parameters["wheels"])
-        of = effect.parameters.get("of", "encoders")
-        columns = "columns" if of == "both" else f"columns of the {of}"
+        of = effect.parameters.get("of", ENCODERS)
+        columns = "columns" if of == BOTH else f"columns of the {of}"
         return f"wheel_permutation (the {columns} are those of wheels {order})"
     return f"{effect.name} (wheel {effect.wheel})"
 

@@ -703,16 +703,23 @@ def left_by_shapes(
     add. `share_of` is e^2 of an effect of the model. Where all residuals hold less than an effect
     would leave that is 3 % off, it is less off, by as much.
     """
-    size, square = np.abs(change), float(change @ change)
-    if not square:
+    if not change.any():
         return 0.0
     shares = np.array([share_of(effect) for effect in fitted.hypothesis.effects])
     if not shares.any():
         return 0.0
-    actions = np.abs(fitted.actions(data))
+    actions = fitted.actions(data)
     by_least = np.maximum(LEAST_OFF**2 * np.sum(actions**2, axis=1), 1e-12)
     shares = shares * np.minimum(1.0, float(left @ left) / by_least)
-    return float(shares @ (actions @ size) ** 2) / square
+    return float(shares @ most_along(actions, change))
+
+
+def most_along(actions: Array, change: Array) -> Array:
+    """Return the most gain (n,) along a change (m,) that actions (n, m) leave if all off."""
+    square = float(change @ change)
+    if not square:
+        return np.zeros(len(actions))
+    return (np.abs(actions) @ np.abs(change)) ** 2 / square
 
 
 @dataclass(frozen=True)

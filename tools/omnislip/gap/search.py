@@ -40,6 +40,7 @@ from omnislip.gap.inference import (
     free_of_fitted,
     inflation_of,
     left_by_shapes,
+    most_along,
     prior_penalty,
     solve_within,
     weigh,
@@ -120,6 +121,7 @@ size."""
 CURVES = ("low_grip", "slip_stiffness_error", "grip_falloff")
 """What changes the friction over slip: where its curve is not the believed one, two of these can
 stand for one of them beside another curve."""
+FRICTION_OVER_SLIP = (CURVE, *CURVES)
 LAW_SHARE = 4e-4
 """Square of how far the friction over slip is off its law on any floor: 2 %. Laws of four families,
 the keys of another one fitted to them, left 0.4 to 1.3 % to one of the above."""
@@ -1250,15 +1252,12 @@ def _within_law(data: Data, without: Fit, fitted: Fit, index: int) -> bool:
     effect = fitted.hypothesis.effects[index]
     if effect.effect not in CURVES:
         return False
-    change = without.residual - fitted.residual
-    square = float(change @ change)
-    if not square:
-        return True
     less = fitted.hypothesis.flat(data.believed)
     less[list(data.machine.place("low_grip", "scale", None))] *= 1.0 - LESS_GRIP
     [slipping] = data.residuals(less[None])
-    overlap = float(np.abs(slipping - fitted.residual) @ np.abs(change)) / LESS_GRIP
-    return without.objective - fitted.objective < LAW_SHARE * overlap**2 / square
+    friction = (slipping - fitted.residual)[None] / LESS_GRIP
+    [most] = most_along(friction, without.residual - fitted.residual)
+    return without.objective - fitted.objective <= LAW_SHARE * most
 
 
 def _within_row(data: Data, candidate: Candidate, sizes: Array) -> bool:
@@ -1435,9 +1434,7 @@ def _one_of_curve(
     starts = screen(data, curved, [known[name] for name in others])
     best, likeliest, name = (data, fitted), _log_posterior(data, fitted), ""
     for one in side_by_side(lambda start: _refit(data, curved, [start])[0], starts):
-        if one.objective > allowed or _within_law(
-            data, curved, one, len(curved.hypothesis.effects)
-        ):
+        if one.objective > allowed or _within_law(data, curved, one, -1):
             continue
         try:
             other = _with_own_noise(data, one)
@@ -1457,7 +1454,7 @@ def _one_of_curve(
 
 def _curves_in(fitted: Fit) -> set[str]:
     """What changes the friction over slip in this model, the curve itself among it."""
-    return {effect.effect for effect in fitted.hypothesis.effects} & {*CURVES, CURVE}
+    return {effect.effect for effect in fitted.hypothesis.effects} & {*FRICTION_OVER_SLIP}
 
 
 def _log_posterior(data: Data, fitted: Fit) -> float:
@@ -1592,10 +1589,9 @@ def _likeliest(
             likelihood = _log_posterior(*own)
             margin = 0.0 if lost < -RIVAL_MARGIN else 0.5 * RIVAL_MARGIN
             enough = own_likelihood + margin * compared[index].evidence.inflation
-            lawful = _within_law(
-                data, compared[index].without, rival, len(final.hypothesis.effects) - 1
-            )
-            if likelihood > enough and not lawful and _helps_unseen(*own, name):
+            if likelihood <= enough or _within_law(data, compared[index].without, rival, -1):
+                continue
+            if _helps_unseen(*own, name):
                 likelier.append((likelihood, *own, effect, name))
         if not likelier:
             break

@@ -29,11 +29,10 @@ from omnislip.gap.machine import Machine
 from omnislip.gap.noise import first_guess, track_all
 from omnislip.gap.recordings import make_run, unwrap_counts, wheel_jacobian
 from omnislip.log_file import POSE_COLUMNS, Log
-from omnislip.model_file import PERMUTED, WIRING, Effect
+from omnislip.model_file import ENCODERS, MOTORS, WHEEL_COLUMNS, WIRING, Effect
 
 Array = npt.NDArray[np.float64]
 
-ENCODERS, MOTORS, _ = PERMUTED
 LOOK_AT_S = 12.0
 GRID_S, WINDOW_S = 0.01, 0.2
 LIKELIEST, AS_NEAR = 12, 1e-3
@@ -56,14 +55,13 @@ def mend(log: Log, effects: Sequence[Effect]) -> Log:
     columns = dict(log.columns)
     for effect in effects:
         if effect.name == "wheel_permutation":
-            for signal in PERMUTED[effect.parameters.get("of", ENCODERS)]:
+            for signal in WHEEL_COLUMNS[effect.parameters.get("of", ENCODERS)]:
                 shown = [columns.pop(f"wheel/{wheel}/{signal}", None) for wheel in range(1, 5)]
                 for column, wheel in zip(shown, effect.parameters["wheels"], strict=True):
                     if column is not None:
                         columns[f"wheel/{wheel}/{signal}"] = column
         elif effect.name in WIRING:
-            # The driver measures the current in the sense of its duty.
-            turned = ("encoder_counts",) if effect.name == "encoder_sign" else ("duty", "current_a")
+            turned = WHEEL_COLUMNS[ENCODERS if effect.name == "encoder_sign" else MOTORS]
             for name in (f"wheel/{effect.wheel}/{signal}" for signal in turned):
                 if name in columns:
                     columns[name] = -columns[name]
@@ -99,7 +97,7 @@ def find_wirings(machine: Machine, logs: Sequence[Log]) -> list[list[Effect]]:
 def _what_moved(mistakes: Sequence[Effect]) -> int:
     """Order of wirings that explain the logs alike: encoders are the likeliest to change places."""
     moved = [effect.parameters.get("of", ENCODERS) for effect in mistakes]
-    return max(map(list(PERMUTED).index, moved), default=0)
+    return max(map(list(WHEEL_COLUMNS).index, moved), default=0)
 
 
 def _likeliest(machine: Machine, logs: Sequence[Log]) -> list[list[Effect]]:
@@ -132,7 +130,7 @@ def _tried(machine: Machine, logs: Sequence[Log]) -> list[tuple[float, list[Effe
     tried = []
     in_place = tuple(range(4))
     orders = [(in_place, ENCODERS)]
-    orders += [(o, of) for o in permutations(in_place) if o != in_place for of in PERMUTED]
+    orders += [(o, of) for o in permutations(in_place) if o != in_place for of in WHEEL_COLUMNS]
     for order, of in orders:
         encoders = np.argsort(order if of != MOTORS else in_place)
         motors = np.argsort(order if of != ENCODERS else in_place)
