@@ -6,6 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from axis_bench import model_text
+from hypothesis import given
+from hypothesis import strategies as st
 from omnislip.errors import InputError
 from omnislip.gap import plan as planning
 from omnislip.gap.find import find_gap, to_json
@@ -189,6 +191,13 @@ def test_a_manoeuvre_that_would_tell_no_more_than_a_coin_is_not_worth_driving():
     best = planning.separating_manoeuvre(MACHINE, data, truth, "body_drag", ["quadratic_body_drag"])
     assert not best.tells
     assert replace(best, separation=planning.LEAST_SEPARATION).tells
+
+
+@given(st.floats(planning.LEAST_SEPARATION, 100.0))
+def test_so_many_drives_settle_it_and_no_fewer(separation):
+    drive = planning.Separation(planning.Manoeuvre("m", "", 1.0, []), separation, 0.0)
+    together = [replace(drive, separation=n * separation) for n in (drive.drives, drive.drives - 1)]
+    assert together[0].probability >= planning.ENOUGH > together[1].probability
 
 
 def test_a_patch_among_the_rivals_ends_no_search():

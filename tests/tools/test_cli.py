@@ -113,6 +113,7 @@ BAD_CALLS = {
     ),
     "export of no log": (["export", "short.toml", "run.mcap"], "short.toml: a log file must end"),
     "export to no log": (["export", "run.csv", "run.txt"], ".csv, .parquet or .mcap"),
+    "spoilt log": (["export", "spoilt.csv", "run.mcap"], r"column 'wheel\x00\x1b[2J'"),
     "locked log": (["simulate", "short.toml", "--out", "file/run.csv"], "file/run.csv: cannot"),
     "locked folder": (["paper", "--out", "file/folder"], "file/folder: folder cannot be made"),
 }
@@ -123,6 +124,7 @@ def test_bad_input_is_one_line_and_leaves_nothing(case, omnislip, short, write, 
     words, expected = BAD_CALLS[case]
     write("bad.toml", SHORT.replace("[scenario]", "[scene]"))
     write("file", "")
+    write("spoilt.csv", "t_s,wheel\0\x1b[2J\n0.0,1.0\n")
     monkeypatch.chdir(short.parent)
     before = files_below(short.parent)
     ended = omnislip(*words)

@@ -369,11 +369,16 @@ def main() -> None:
             print(f"omnislip: error: {what}; see {command} --help", file=sys.stderr)
         sys.exit(error.exit_code)
     except InputError as error:
-        print(f"omnislip: error: {error}", file=sys.stderr)
+        print(f"omnislip: error: {_one_line(error)}", file=sys.stderr)
         sys.exit(2)
     except RobotError as error:
-        print(f"omnislip: error: {error}", file=sys.stderr)
+        print(f"omnislip: error: {_one_line(error)}", file=sys.stderr)
         sys.exit(3)
+
+
+def _one_line(error: Exception) -> str:
+    """Return its words with what a spoilt file may bring into them escaped: NUL, line ends."""
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in str(error))
 
 
 @contextmanager

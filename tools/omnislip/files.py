@@ -25,7 +25,8 @@ def load_toml(path: Path) -> dict[str, Any]:
     except UnicodeDecodeError:
         raise InputError(f"{path}: not a text file in UTF-8") from None
     except ValueError as error:  # of TOML, or of Python for a number of thousands of digits
-        raise InputError(f"{path}: not valid TOML: {error}") from None
+        what = str(error).replace("Cannot overwrite a value", "a key is given twice")
+        raise InputError(f"{path}: not valid TOML: {what}") from None
 
 
 def nearest(name: str, known: Iterable[str]) -> str:

@@ -68,7 +68,9 @@ def plan(
     out: Annotated[Path, typer.Option(help="Folder for the best manoeuvre, a scenario file.")],
     effects: Annotated[
         list[str] | None,
-        typer.Argument(help="Effects to tell apart, such as 'weak_motor (wheel 3)'."),
+        typer.Argument(
+            help='Effects to tell apart, named as in a model file: "weak_motor (wheel 3)".'
+        ),
     ] = None,
     gap: Annotated[
         Path | None, typer.Option(help="gap.json with an effect that is ambiguous, instead.")
@@ -106,7 +108,12 @@ def plan(
             f"{one.reach_m:.2f}",
         )
     Console().print(table)
-    print(f"{ranked[0].manoeuvre.name}: {ranked[0].manoeuvre.summary}; written to {written}")
+    best = ranked[0]
+    print(f"{best.manoeuvre.name}: {best.manoeuvre.summary}; written to {written}")
+    if not best.tells:
+        print("Even this one would hardly tell them apart; more room or a higher speed may help.")
+    elif best.drives > 1:
+        print(f"Drive it {best.drives:.0f} times: then it is right in 99 of 100 cases.")
     print(f"rehearse it: omnislip simulate {written} --out {written.with_suffix('.csv')}")
 
 

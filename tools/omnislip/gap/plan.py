@@ -58,6 +58,8 @@ CERTAIN = 100.0
 """Separation from which on more is not better: the wrong one is ahead once in four million."""
 LEAST_SEPARATION = 4.0
 """Separation below which a manoeuvre is no answer: the wrong one is ahead once in six times."""
+ENOUGH = 0.99
+"""Probability of the right answer that settles it."""
 REST_S = 0.4
 MOST_TURN_RAD_S = 6.0
 FIT_ITERATIONS = 5
@@ -120,6 +122,12 @@ class Separation:
     def probability(self) -> float:
         """Probability that the right one of two rivals comes out ahead."""
         return float(norm.cdf(np.sqrt(max(self.separation, 0.0)) / 2))
+
+    @property
+    def drives(self) -> float:
+        """How often to drive it until the right one is `ENOUGH` probable: separations add."""
+        asked = (2.0 * norm.ppf(ENOUGH)) ** 2
+        return float(np.ceil(asked / self.separation)) if self.separation > 0 else np.inf
 
     def as_json(self) -> dict[str, Any]:
         """Return it as gap.json has it."""
