@@ -13,6 +13,7 @@ from omnislip.gap.events import (
     find_impacts,
     known_pushes,
     pieces,
+    shows,
     too_often,
     without_repeated,
 )
@@ -80,6 +81,18 @@ def test_a_light_push_just_before_a_hard_one_is_found():
     )
     found = find_impacts(machine, [run], machine.believed, noise)
     assert [impact.time_s for impact in found] == pytest.approx([2.3, 2.5], abs=0.015)
+    # In a run that begins behind the first one the second shows, and what nobody did does not.
+    behind = make_run(machine, make_log(scenario, simulate_truth(scenario)), begin=470)
+    later = [found[1], replace(found[1], time_s=3.0)]
+    shown = [shows(machine, behind, push, machine.believed, noise) for push in later]
+    assert shown == [True, False]
+
+
+def test_a_push_that_several_peaks_show_is_told_once(tmp_path, monkeypatch):
+    peaks = events._peaks
+    monkeypatch.setattr(events, "_peaks", lambda *own: [p for p in peaks(*own) for _ in range(2)])
+    (impact,) = found_in(tmp_path, PUSHES[0])
+    assert impact.time_s == pytest.approx(2.5031, abs=0.015)
 
 
 def test_a_push_after_which_wheels_slide_is_found(tmp_path, monkeypatch):

@@ -249,6 +249,13 @@ def test_a_size_that_is_not_the_same_throughout_is_no_name(inflation, variation,
     assert verdict_of([varying, selected("coulomb_friction", 1e5)]) == "effect_found"
 
 
+@pytest.mark.parametrize(("law", "verdict"), [(700.0, "unknown_effect"), (800.0, "effect_found")])
+def test_a_curve_may_change_by_as_much_as_any_law_of_friction_is_off(law, verdict):
+    """A size that changes by 0.6 leaves 0.36 of 2,000."""
+    curve = replace(selected("contact_shape", 2e3, 20.0, 0.6), law=law)
+    assert verdict_of([curve]) == verdict
+
+
 def test_a_name_that_a_shape_a_little_wrong_would_leave_carries_a_caution():
     """5,000 of a million is the square of 7 %; gain alone makes none weak."""
     known = [("coulomb_friction", 1e6, 0.0), ("payload", 5e3, 2e5), ("gyro_bias", 5e3, 1e6)]

@@ -225,6 +225,21 @@ def test_what_gave_way_to_another_is_looked_for_again(machine, monkeypatch):
     assert sorted(names(outcome)) == ["coulomb_friction", "dead_zone"]
 
 
+def test_a_search_ends_where_steps_leave_the_model_as_it_was(machine, monkeypatch):
+    """Each takes an effect that is needless when all has settled."""
+    monkeypatch.setattr(
+        search_module, "_drop_needless", lambda data, fitted, tried: fit(data, bare(fitted))
+    )
+
+    def bare(fitted):
+        return fitted.hypothesis.without_effects()
+
+    outcome = find(machine, Bench(coulomb_n=2.0, dead_zone_v=0.1, viscous_n_s_m=25.0))
+    steps = {trial.step for trial in outcome.trials if trial.accepted}
+    assert names(outcome) == []
+    assert steps == set(range(1, search_module.MOST_VAIN_STEPS + 1))
+
+
 @pytest.mark.parametrize("ahead_gain", [search_module.AHEAD_GAIN, np.inf])
 def test_what_is_refused_is_judged_again_by_the_noise_that_is_left_beside_it(
     machine, monkeypatch, ahead_gain

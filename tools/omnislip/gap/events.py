@@ -129,8 +129,16 @@ class Impact:
         return speed + abs(self.impulse[2]) / machine.believed[1] * machine.believed[3]
 
     def near(self, other: "Impact") -> bool:
-        """Whether both are the same push."""
+        """Whether both may be the same push, seen by two models."""
         return self.run == other.run and abs(self.time_s - other.time_s) < APART_S
+
+    def just_after(self, other: "Impact") -> bool:
+        """Whether wheels may still slide from the other one."""
+        return self.run == other.run and 0.0 < self.time_s - other.time_s < APART_S
+
+    def same_as(self, other: "Impact") -> bool:
+        """Whether both are the same push, seen by one model."""
+        return self.run == other.run and abs(self.time_s - other.time_s) < HORIZON_S
 
 
 def find_impacts(
@@ -159,20 +167,29 @@ def _impacts_in(machine: Machine, run: Run, values: Array, noise: Noise) -> list
             least = max(LEAST_JUMP_M_S, _feigned_m_s(machine, run, row, values))
             if shown and impact.confirmed and least <= jump_m_s <= MOST_JUMP_M_S:
                 impacts.append(impact)
-    impacts = [one for one in impacts if not any(_same(one, other) for other in impacts)]
-    return [
+    impacts = [
         one
         for one in impacts
         if not any(
             _does_both(machine, run, other, one, values, noise, filtered) for other in impacts
         )
     ]
+    told = list[Impact]()
+    for one in sorted(impacts, key=lambda one: -one.gain):  # several peaks may show the same push
+        if not any(one.same_as(other) for other in told):
+            told.append(one)
+    return sorted(told, key=lambda one: one.time_s)
 
 
-def _same(one: Impact, other: Impact) -> bool:
-    """Whether both are one push, and the other explains more of what it did."""
-    near = abs(one.time_s - other.time_s) < HORIZON_S
-    return one is not other and near and (one.gain, one.time_s) < (other.gain, other.time_s)
+def shows(machine: Machine, run: Run, push: Impact, values: Array, noise: Noise) -> bool:
+    """Whether a push stands out from chance in a run that begins shortly before it.
+
+    There may be no time for the filter to settle; so much it has to tell nevertheless.
+    """
+    [track] = track_all(machine, [run], values, noise, keep_linear=True)
+    ratio, *_ = _Pushes(machine, run, track).ratios(first=0)
+    near = np.abs(run.t_s - push.time_s) < HORIZON_S
+    return bool(ratio[near].max(initial=0.0) > LEAST_RATIO)
 
 
 def _does_both(
@@ -188,14 +205,13 @@ def _does_both(
 
     Where wheels slide the filter may find out long after a push how the robot goes since.
     """
-    between_s = later.time_s - push.time_s
-    if not 0.0 < between_s < APART_S:
+    if not later.just_after(push):
         return False
+    between_s = later.time_s - push.time_s
     row = int(np.searchsorted(run.t_s, push.time_s))
     window = _Window(machine, run, row, values, noise, filtered, between_s + HORIZON_S)
-    time_s = min(window.times_s, key=lambda t: abs(t - push.time_s))
-    [alone] = _fit_jumps(window, [time_s], push.jump)
-    return alone.cost - push.misfit * window.readings < LEAST_RATIO
+    alone = min(fit.cost for fit in _fit_jumps(window, window.times_s[::-1], push.jump))
+    return alone - push.misfit * window.readings < LEAST_RATIO
 
 
 def without_repeated(runs: Sequence[Run], impacts: Sequence[Impact]) -> list[Impact]:
@@ -531,8 +547,11 @@ class _Pushes:
         self.first = int(np.searchsorted(run.t_s, known_s))
         self.earliest = 1 if run.at_rest else self.first
 
-    def ratios(self) -> tuple[Array, Array, Array]:
-        """Return g, the jump and the explained share for a push before each row."""
+    def ratios(self, first: int | None = None) -> tuple[Array, Array, Array]:
+        """Return g, the jump and the explained share for a push before each row.
+
+        g is 0 before row `first`; by default that from which the state is known.
+        """
         rows, n = len(self.white), self.carry.shape[1]
         error = np.zeros((rows, n, 3))
         error[:, VELOCITY] = np.eye(3)
@@ -549,7 +568,7 @@ class _Pushes:
             error[at] = self.carry[seen] @ error[at]
         jump = np.linalg.solve(information + 1e-9 * np.eye(3), right[:, :, None])[:, :, 0]
         ratio = np.einsum("ri,ri->r", right, jump)
-        ratio[: self.first] = 0.0
+        ratio[: self.first if first is None else first] = 0.0
         return ratio, jump, ratio / np.maximum(energy, 1e-12)
 
     def likeliest_row(self, peak: int, raised: npt.NDArray[np.bool_]) -> int:

@@ -276,8 +276,10 @@ def _robot_signals(machine: Machine, log: Log, rows: slice) -> tuple[Array, Arra
     angles = [count * rad_per_count for count in counts]
     others = [columns.get(name, blank) for name in ROBOT_CHANNELS[4:]]
     others[3] = _unwrap_sampled(others[3])
+    # What flows in the last row goes with a command that has no row to be the mean of.
+    commanded = np.arange(len(log.t_s))[rows] < len(log.t_s) - 1
     electric = [
-        columns[name] if _varies(columns.get(name)) else blank
+        np.where(commanded, columns[name], np.nan) if _varies(columns.get(name)) else blank
         for name in (ELECTRIC_CHANNELS if machine.electric else ())
     ]
     outputs = np.stack([*angles, *others, *electric], axis=1)

@@ -64,8 +64,11 @@ Progress = Callable[[str], None]
 
 ALPHA = 0.01
 SHAPE_SHARE = 1e-3
-"""Square of how far a plant may be off an effect's shape: 3 % of what the effect does."""
-MOST_EFFECTS, MOST_STEPS = 4, 6
+"""Square of how far a plant may be off an effect's shape: 3 % of what the effect does. And off the
+law of its friction over slip: of seven families, the keys of another one fitted to them, 0.4 to
+2.1 % was left to an effect that changes it."""
+MOST_EFFECTS, MOST_STEPS, MOST_VAIN_STEPS = 4, 6, 2
+"""The last: steps in turn whose effect is needless by the noise that is left beside it."""
 NEIGHBOURS, RIVALS = 16, 4
 REFITS = 12
 FULL_REFITS = 3
@@ -122,9 +125,6 @@ CURVES = ("low_grip", "slip_stiffness_error", "grip_falloff")
 """What changes the friction over slip: where its curve is not the believed one, two of these can
 stand for one of them beside another curve."""
 FRICTION_OVER_SLIP = (CURVE, *CURVES)
-LAW_SHARE = 4e-4
-"""Square of how far the friction over slip is off its law on any floor: 2 %. Laws of four families,
-the keys of another one fitted to them, left 0.4 to 1.3 % to one of the above."""
 LESS_GRIP = 0.05
 """Share of the grip by which to see what friction does."""
 WITHIN_LAW = "no more than friction is off its law on any floor"
@@ -180,6 +180,9 @@ class Selected:
     """Gain that the other effects would leave to it if they were off by all that they do."""
     instead: Shape | None = None
     """What explains most in its place without a name; of the friction curve nothing."""
+    law: float = 0.0
+    """Gain that friction over slip may leave to it, off its law as on any floor: of what changes
+    it."""
 
 
 @dataclass(frozen=True)
@@ -249,7 +252,7 @@ def search(
     settled, compared = base, dict[int, _Compared]()
     limits, curves = None, set[str]()
     neighbours: dict[str, list[Candidate]] = {}
-    steps = 0
+    steps = vain = 0
     again = _again(machine, runs, before, tried) if before else None
     if again is not None:
         progress("going on from what was found before")
@@ -261,7 +264,7 @@ def search(
         steps = max(trial.step for trial in before.trials if trial.accepted)
         trials = [trial for trial in before.trials if trial.step <= steps]
     for step in range(steps + 1, MOST_STEPS + 1):
-        if len(current.hypothesis.effects) == MOST_EFFECTS:
+        if len(current.hypothesis.effects) == MOST_EFFECTS or vain == MOST_VAIN_STEPS:
             break
         progress(f"step {step}: screening {len(candidates)} effects")
         screened = screen(data, current, candidates)
@@ -289,6 +292,7 @@ def search(
         if without.objective < current.objective - CONVERGED * max(1.0, gain):
             current = without  # the gain was that of the keys, which had not settled
             continue
+        had = {effect.name for effect in current.hypothesis.effects}
         nearest = [s.candidate for s in screened[:NEIGHBOURS]]
         # What shows only beside the newest effect may be what an older one was taken for.
         neighbours = {
@@ -316,6 +320,7 @@ def search(
             curves = _curves_in(current)
         taken = {effect.name for effect in current.hypothesis.effects}
         candidates = [c for c in (*candidates, *chosen) if c.name not in taken]
+        vain = vain + 1 if taken == had else 0
     final = current
     if current is not settled:
         progress("fitting the final model")
@@ -1249,15 +1254,19 @@ def _within_law(data: Data, without: Fit, fitted: Fit, index: int) -> bool:
     As `left_by_shapes` has it, for what friction does as a whole: all of it, for it is proportional
     to the grip.
     """
-    effect = fitted.hypothesis.effects[index]
-    if effect.effect not in CURVES:
+    if fitted.hypothesis.effects[index].effect not in CURVES:
         return False
+    return without.objective - fitted.objective <= _left_by_law(data, without, fitted)
+
+
+def _left_by_law(data: Data, without: Fit, fitted: Fit) -> float:
+    """Return the gain of `fitted` that friction over slip leaves if off its law as on any floor."""
     less = fitted.hypothesis.flat(data.believed)
     less[list(data.machine.place("low_grip", "scale", None))] *= 1.0 - LESS_GRIP
     [slipping] = data.residuals(less[None])
     friction = (slipping - fitted.residual)[None] / LESS_GRIP
     [most] = most_along(friction, without.residual - fitted.residual)
-    return without.objective - fitted.objective <= LAW_SHARE * most
+    return SHAPE_SHARE * float(most)
 
 
 def _within_row(data: Data, candidate: Candidate, sizes: Array) -> bool:
@@ -1649,8 +1658,10 @@ def _select(
         left = _left_by_others(data, one.without, final, index)
         interval = _interval(data, final, index, values, one.evidence)
         evidence, shape = one.evidence, instead.get(index)
+        slips = effect.effect in FRICTION_OVER_SLIP
+        law = _left_by_law(data, one.without, final) if slips else 0.0
         selected.append(
-            Selected(effect, values, interval, evidence, tuple(equals), stability, left, shape)
+            Selected(effect, values, interval, evidence, tuple(equals), stability, left, shape, law)
         )
     return tuple(sorted(selected, key=lambda s: (s.candidate.effect == CURVE, -s.evidence.gain)))
 
