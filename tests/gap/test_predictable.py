@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from omnislip.gap import truth
+from omnislip.gap import predictable, truth
 from omnislip.gap.find import LASTING_SHARES, PREDICTED_SHARE
 from omnislip.gap.machine import Machine
 from omnislip.gap.predictable import EQUATIONS, predictable_shares
@@ -56,6 +56,26 @@ def test_chance_that_fades_slowly_is_chance(corner_hz, monkeypatch):
     found = shares_of()
     assert max(one.share for one in found if one.from_own_past) < 0.154
     assert max(one.share for one in found if not one.from_own_past) < 0.05
+
+
+def test_friction_is_all_that_moves_a_body_that_does_not_turn():
+    model = read_model(NOMINAL_ROBOT)
+    without_rollers = replace(model, values=model.values | {"contact.mu_roller": 0.0})
+    machine, rng = Machine(without_rollers), np.random.default_rng(0)
+    state = rng.normal(size=(20, machine.engine.states))
+    state[:, 10] = 0.0
+    command = rng.uniform(-1.0, 1.0, (20, 4))
+    friction = predictable._friction(machine, machine.believed, state, command)
+    rates = machine.engine.derivatives(machine.believed, state, command)
+    np.testing.assert_allclose(friction[:, 4:], rates[:, 8:11], rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize(("law_share", "off"), [(1e-4, True), (1e-2, False)])
+def test_what_friction_is_off_its_law_is_no_force_of_its_own(monkeypatch, law_share, off):
+    """Of another curve in violent driving, not fitted, is more than 1 % of friction."""
+    monkeypatch.setattr(predictable, "LAW_SHARE", law_share)
+    found = shares_of(friction_curve="brush", excitation="rich")
+    assert (max(one.share for one in found if not one.from_own_past) > PREDICTED_SHARE) == off
 
 
 def test_what_swings_is_no_chance(monkeypatch):

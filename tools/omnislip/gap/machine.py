@@ -86,6 +86,8 @@ as that of one which stands still in all logs."""
 # A size that is infinite when absent (stiffness, limit) is sought up to so many typical ones: a
 # gear ten times stiffer shows in no log and would be integrated in tiny steps.
 MOST_OF_ABSENT = 10.0
+LESS_GRIP = 0.05
+"""Share of the grip by which to see what friction does: all of it, for it is proportional."""
 MOST_DAMPING = 20.0
 
 
@@ -172,6 +174,12 @@ class Machine:
         if wheel is None or stride == 1:
             return tuple(range(first, first + stride))
         return (first + wheel - 1,)
+
+    def with_less_grip(self, values: Array) -> Array:
+        """Return a flat set of a robot on a floor of `LESS_GRIP` less grip."""
+        less = values.copy()
+        less[list(self.place("low_grip", "scale", None))] *= 1.0 - LESS_GRIP
+        return less
 
     def inertias(self, values: Array) -> tuple[float, float, Array]:
         """Return mass, inertia (kg m2) and those of the shafts (wheels,) of a robot, effects in it.

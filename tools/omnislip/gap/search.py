@@ -53,7 +53,7 @@ from omnislip.gap.leftover import (
     responses,
     shapes_instead,
 )
-from omnislip.gap.machine import CURVE, PHASE, WHOLE, Candidate, Machine
+from omnislip.gap.machine import CURVE, LESS_GRIP, PHASE, WHOLE, Candidate, Machine
 from omnislip.gap.metrics import improvement, replay_all
 from omnislip.gap.noise import Noise, RunawayError, some_runs, track_all, tune_noise
 from omnislip.gap.recordings import Run
@@ -125,8 +125,6 @@ CURVES = ("low_grip", "slip_stiffness_error", "grip_falloff")
 """What changes the friction over slip: where its curve is not the believed one, two of these can
 stand for one of them beside another curve."""
 FRICTION_OVER_SLIP = (CURVE, *CURVES)
-LESS_GRIP = 0.05
-"""Share of the grip by which to see what friction does."""
 WITHIN_LAW = "no more than friction is off its law on any floor"
 CONFIDENCE = 1.959964
 """Standard deviations of a 95 % interval."""
@@ -1261,8 +1259,7 @@ def _within_law(data: Data, without: Fit, fitted: Fit, index: int) -> bool:
 
 def _left_by_law(data: Data, without: Fit, fitted: Fit) -> float:
     """Return the gain of `fitted` that friction over slip leaves if off its law as on any floor."""
-    less = fitted.hypothesis.flat(data.believed)
-    less[list(data.machine.place("low_grip", "scale", None))] *= 1.0 - LESS_GRIP
+    less = data.machine.with_less_grip(fitted.hypothesis.flat(data.believed))
     [slipping] = data.residuals(less[None])
     friction = (slipping - fitted.residual)[None] / LESS_GRIP
     [most] = most_along(friction, without.residual - fitted.residual)
