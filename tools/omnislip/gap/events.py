@@ -29,7 +29,7 @@ from scipy.optimize import least_squares
 
 from omnislip import _core
 from omnislip.gap.machine import Machine
-from omnislip.gap.noise import Noise, track_all, track_recordings
+from omnislip.gap.noise import Noise, stall_current_a, track_all, track_recordings
 from omnislip.gap.recordings import Run
 from omnislip.gap.side_by_side import side_by_side
 from omnislip.log_file import Log
@@ -269,30 +269,41 @@ def _feigned_m_s(machine: Machine, run: Run, row: int, model: Array) -> float:
     """Return the jump of the body that jumps of the command before and beside the row may feign.
 
     When within a row wheels break loose or grip again the log does not tell: for up to a row on
-    either side of a jump the body is pulled with mu g, or is not. What earlier jumps of the horizon
-    left shows no later than where the wheels grip. Jumps after the row may answer the push. Drivers
-    that brake only under a reversed command switch where it changes its sign within a row, and what
-    then slides may do so to the end of the next.
+    either side of a jump the body is pulled with mu g, or is not; by a small jump with what it
+    changes of the motors' pull at most, once by them and once by the wheels that they turn. When
+    jumps of several rows are is independent. What earlier jumps of the horizon left shows no later
+    than where the wheels grip. Jumps after the row may answer the push. Drivers that brake only
+    under a reversed command switch where it changes its sign within a row, and what then slides may
+    do so to the end of the next.
     """
     values = machine.model.values
-    grip_m_s2 = values["contact.mu_drive"] * values["contact.gravity_m_s2"]
+    slide_m_s2 = 2.0 * values["contact.mu_drive"] * values["contact.gravity_m_s2"]
     rows_s = np.diff(run.t_s, append=run.t_s[-1])
     into = np.abs(np.diff(run.command, axis=0, prepend=run.command[:1]))
     out_of = np.abs(np.diff(run.command, axis=0, append=run.command[-1:]))
     jumps = into.max(axis=1) > COMMAND_JUMP
+    pull_m_s2 = np.minimum(slide_m_s2, 2.0 * _stall_m_s2(machine) * into.mean(axis=1))
+    pull_m_s2[~jumps] = 0.0
     beside = slice(max(row - 1, 0), row + 3)
     before = slice(int(np.searchsorted(run.t_s, run.t_s[row] - HORIZON_S)), beside.start)
-    unsure_s = float(np.sum(rows_s[before][jumps[before]]))
-    if jumps[beside].any():
-        unsure_s += float(rows_s[beside].max())
+    feigned_m_s = float(np.linalg.norm(rows_s[before] * pull_m_s2[before]))
+    feigned_m_s += float(rows_s[beside].max() * pull_m_s2[beside].max())
     if model[machine.place("driver_freewheel", "braking_fraction", None)[0]] != 1.0:
         most = np.maximum(into, out_of)
         switches = np.any((np.abs(run.command) <= 0.5 * most) & (most > 0.0), axis=1)
         sliding = switches.copy()
         sliding[1:] |= switches[:-1]
         near = slice(before.start, beside.stop)
-        unsure_s += float(np.sum(rows_s[near][sliding[near] & ~jumps[near]]))
-    return float(2.0 * grip_m_s2 * unsure_s)
+        feigned_m_s += slide_m_s2 * float(np.sum(rows_s[near][sliding[near] & ~jumps[near]]))
+    return feigned_m_s
+
+
+def _stall_m_s2(machine: Machine) -> float:
+    """Return how fast the motors would start the body at full duty if all pulled one way."""
+    values = machine.model.values
+    wheel_nm = stall_current_a(machine) * values["motor.torque_constant_nm_a"]
+    wheel_nm *= values["motor.gear_ratio"]
+    return 4.0 * wheel_nm / values["robot.wheel_radius_m"] / values["robot.mass_kg"]
 
 
 def as_effect(impact: Impact) -> Effect:
