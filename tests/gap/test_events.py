@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from omnislip.gap import events, recordings
+from omnislip.gap import events, find, recordings
 from omnislip.gap.events import (
     Impact,
     as_effect,
@@ -282,6 +282,57 @@ def test_a_driver_that_freewheels_switches_where_its_command_changes_sign(
     assert feigned == pytest.approx(2.0 * 0.6 * 9.81 * unsure_s)
     still = SimpleNamespace(t_s=t_s, command=np.zeros((10, 4)))
     assert events._feigned_m_s(machine, still, before_row, model) == 0.0
+
+
+@pytest.mark.parametrize("step", [0.09, 0.11])
+def test_a_driver_that_freewheels_may_slide_after_a_jump_of_any_size(step):
+    """Two rows next to a command that crosses zero, and what the jump alone may feign less."""
+    machine = Machine(read_model(NOMINAL_ROBOT))
+    ramp = step * np.clip(np.arange(8) - 3.5, -0.5, 0.5)[:, None] * np.array([1.0, 0.0, 0.0, 0.0])
+    run = SimpleNamespace(t_s=0.005 * np.arange(8), command=ramp)
+    model = machine.believed.copy()
+    model[machine.place("driver_freewheel", "braking_fraction", None)[0]] = 0.3
+    slide_m_s = 2.0 * 0.6 * 9.81 * 0.005
+    assert events._feigned_m_s(machine, run, 4, model) > 2.0 * slide_m_s
+
+
+@pytest.mark.parametrize("step", [0.12, 1.0])
+def test_jumps_of_a_command_feign_what_the_motors_pull_or_the_grip_holds(step):
+    """Up to a row of it at each jump of the last tenth of a second, in squares, and beside the row.
+
+    24 V / 0.6 Ohm * 0.0255 N m/A * 12 / 0.05 m on each of four wheels of 20 kg; 2 mu g at most.
+    """
+    model = read_model(NOMINAL_ROBOT)
+    machine, values = Machine(model), model.values
+    wheel_n = values["motor.supply_v"] / values["motor.resistance_ohm"]
+    wheel_n *= values["motor.torque_constant_nm_a"] * values["motor.gear_ratio"]
+    wheel_n /= values["robot.wheel_radius_m"]
+    pull_m_s2 = min(2.0 * step * 4.0 * wheel_n / values["robot.mass_kg"], 2.0 * 0.6 * 9.81)
+    to_and_fro = 0.5 * step * (-1.0) ** np.arange(40)[:, None] * np.ones(4)
+    run = SimpleNamespace(t_s=0.005 * np.arange(40), command=to_and_fro)
+    feigned = events._feigned_m_s(machine, run, 30, machine.believed)
+    assert feigned == pytest.approx(0.005 * pull_m_s2 * (19.0**0.5 + 1.0))
+
+
+@pytest.mark.parametrize(
+    ("after_s", "shown", "told"), [(0.2, False, 1), (0.2, True, 2), (0.4, False, 2)]
+)
+def test_what_comes_soon_after_a_push_has_to_show_in_a_run_that_begins_behind_it(
+    monkeypatch, after_s, shown, told
+):
+    """However little of the log is left behind it."""
+    model = read_model(NOMINAL_ROBOT)
+    driving = [{"t_s": 0.0, "kind": "velocity", "value": [0.3, 0.2, 0.5]}]
+    scenario = Scenario("run", 2.0, model, driving, sensors=Sensors(), seed=1)
+    log, machine = make_log(scenario, simulate_truth(scenario)), Machine(model)
+    begun, first_s = [], 1.5
+    pushes = [Impact("run", at_s, np.ones(3), np.zeros(3)) for at_s in (first_s, first_s + after_s)]
+    monkeypatch.setattr(find, "find_impacts", lambda *_: pushes)
+    monkeypatch.setattr(find, "shows", lambda _, run, *__: begun.append(run.t_s[0]) or shown)
+    runs, believed = [make_run(machine, log)], believed_hypothesis(machine)
+    assert find._pushes_in(machine, [log], runs, believed, None) == pushes[:told]
+    if after_s < events.APART_S:
+        assert begun == [pytest.approx(first_s + events.CUT_S, abs=0.006)]
 
 
 @pytest.mark.parametrize(("pushes", "often"), [(0, False), (1, False), (5, False), (6, True)])

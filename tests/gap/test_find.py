@@ -252,7 +252,7 @@ def test_a_size_that_is_not_the_same_throughout_is_no_name(inflation, variation,
 @pytest.mark.parametrize(("law", "verdict"), [(700.0, "unknown_effect"), (800.0, "effect_found")])
 def test_a_curve_may_change_by_as_much_as_any_law_of_friction_is_off(law, verdict):
     """A size that changes by 0.6 leaves 0.36 of 2,000."""
-    curve = replace(selected("contact_shape", 2e3, 20.0, 0.6), law=law)
+    curve = replace(selected("contact_shape", 2e3, 20.0, 0.6), law_gain=law)
     assert verdict_of([curve]) == verdict
 
 

@@ -113,7 +113,8 @@ def plan(
     if not best.tells:
         print("Even this one would hardly tell them apart; more room or a higher speed may help.")
     elif best.drives > 1:
-        print(f"Drive it {best.drives:.0f} times: then it is right in 99 of 100 cases.")
+        right = f"{100 * planning.ENOUGH:.0f} of 100 cases"
+        print(f"Drive it {best.drives:.0f} times: then it is right in {right}.")
     print(f"rehearse it: omnislip simulate {written} --out {written.with_suffix('.csv')}")
 
 

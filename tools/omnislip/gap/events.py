@@ -182,13 +182,13 @@ def _impacts_in(machine: Machine, run: Run, values: Array, noise: Noise) -> list
 
 
 def shows(machine: Machine, run: Run, push: Impact, values: Array, noise: Noise) -> bool:
-    """Whether a push stands out from chance in a run that begins shortly before it.
+    """Whether a push stands out from chance, at its time, in a run that begins shortly before it.
 
-    There may be no time for the filter to settle; so much it has to tell nevertheless.
+    There may be no time for the filter to settle, and none to know the level of the run.
     """
     [track] = track_all(machine, [run], values, noise, keep_linear=True)
-    ratio, *_ = _Pushes(machine, run, track).ratios(first=0)
-    near = np.abs(run.t_s - push.time_s) < HORIZON_S
+    ratio, *_ = _Pushes(machine, run, track).ratios(first_row=1)
+    near = np.abs(run.t_s - push.time_s) <= max(SPAN_S, SPAN_ROWS * run.row_s)
     return bool(ratio[near].max(initial=0.0) > LEAST_RATIO)
 
 
@@ -211,7 +211,7 @@ def _does_both(
     row = int(np.searchsorted(run.t_s, push.time_s))
     window = _Window(machine, run, row, values, noise, filtered, between_s + HORIZON_S)
     alone = min(fit.cost for fit in _fit_jumps(window, window.times_s[::-1], push.jump))
-    return alone - push.misfit * window.readings < LEAST_RATIO
+    return alone - min(push.misfit, later.misfit) * window.readings < LEAST_RATIO
 
 
 def without_repeated(runs: Sequence[Run], impacts: Sequence[Impact]) -> list[Impact]:
@@ -270,11 +270,11 @@ def _feigned_m_s(machine: Machine, run: Run, row: int, model: Array) -> float:
 
     When within a row wheels break loose or grip again the log does not tell: for up to a row on
     either side of a jump the body is pulled with mu g, or is not; by a small jump with what it
-    changes of the motors' pull at most, once by them and once by the wheels that they turn. When
-    jumps of several rows are is independent. What earlier jumps of the horizon left shows no later
-    than where the wheels grip. Jumps after the row may answer the push. Drivers that brake only
-    under a reversed command switch where it changes its sign within a row, and what then slides may
-    do so to the end of the next.
+    changes of the motors' pull, and by as much again that the wheels take up and give back. The
+    times of jumps in several rows are independent, so they add in squares. What earlier jumps of
+    the horizon left shows no later than where the wheels grip. Jumps after the row may answer the
+    push. Drivers that brake only under a reversed command switch where it changes its sign within a
+    row, and what then slides may do so to the end of the next.
     """
     values = machine.model.values
     slide_m_s2 = 2.0 * values["contact.mu_drive"] * values["contact.gravity_m_s2"]
@@ -294,7 +294,8 @@ def _feigned_m_s(machine: Machine, run: Run, row: int, model: Array) -> float:
         sliding = switches.copy()
         sliding[1:] |= switches[:-1]
         near = slice(before.start, beside.stop)
-        feigned_m_s += slide_m_s2 * float(np.sum(rows_s[near][sliding[near] & ~jumps[near]]))
+        beyond_m_s = rows_s * (slide_m_s2 - pull_m_s2)
+        feigned_m_s += float(np.sum(beyond_m_s[near][sliding[near]]))
     return feigned_m_s
 
 
@@ -558,10 +559,10 @@ class _Pushes:
         self.first = int(np.searchsorted(run.t_s, known_s))
         self.earliest = 1 if run.at_rest else self.first
 
-    def ratios(self, first: int | None = None) -> tuple[Array, Array, Array]:
+    def ratios(self, first_row: int | None = None) -> tuple[Array, Array, Array]:
         """Return g, the jump and the explained share for a push before each row.
 
-        g is 0 before row `first`; by default that from which the state is known.
+        g is 0 before `first_row`; by default that from which the state is known.
         """
         rows, n = len(self.white), self.carry.shape[1]
         error = np.zeros((rows, n, 3))
@@ -579,7 +580,7 @@ class _Pushes:
             error[at] = self.carry[seen] @ error[at]
         jump = np.linalg.solve(information + 1e-9 * np.eye(3), right[:, :, None])[:, :, 0]
         ratio = np.einsum("ri,ri->r", right, jump)
-        ratio[: self.first if first is None else first] = 0.0
+        ratio[: self.first if first_row is None else first_row] = 0.0
         return ratio, jump, ratio / np.maximum(energy, 1e-12)
 
     def likeliest_row(self, peak: int, raised: npt.NDArray[np.bool_]) -> int:

@@ -21,6 +21,7 @@ from omnislip.files import replace_file
 from omnislip.gap.answers import likelier_held
 from omnislip.gap.balances import Balance, find_balances
 from omnislip.gap.events import (
+    CUT_S,
     Impact,
     as_effect,
     beside_lost_rows,
@@ -299,7 +300,7 @@ def find_gap(
             continue
         progress("looking for impacts with the final model")
         final, tuned = outcome.final.hypothesis, outcome.data.noise
-        confirmed = _impacts_in(machine, logs, cuts, runs, final, tuned)
+        confirmed = _pushes_in(machine, logs, runs, final, tuned)
         cut_out = [new for new in confirmed if any(new.near(old) for old in impacts)]
         settled = len(cut_out) == len(confirmed)
         impacts = confirmed if left else cut_out  # what was fitted as well is not to be told
@@ -509,16 +510,11 @@ def _pushes_beside(
 ) -> tuple[list[Run], list[Impact]]:
     """Return the runs of all logs and the impacts in them beside a model."""
     runs = [run for log in logs for run in usable_runs(machine, log, cuts)]
-    return runs, _impacts_in(machine, logs, cuts, runs, model, noise)
+    return runs, _pushes_in(machine, logs, runs, model, noise)
 
 
-def _impacts_in(
-    machine: Machine,
-    logs: Sequence[Log],
-    cuts: Sequence[tuple[str, float]],
-    runs: Sequence[Run],
-    model: Hypothesis,
-    noise: Noise,
+def _pushes_in(
+    machine: Machine, logs: Sequence[Log], runs: Sequence[Run], model: Hypothesis, noise: Noise
 ) -> list[Impact]:
     """Return the impacts in runs of the logs, but for what comes of one shortly before.
 
@@ -529,11 +525,15 @@ def _impacts_in(
     impacts = find_impacts(machine, runs, values, noise)
     named, told = {log.name: log for log in logs}, []
     for one in impacts:
-        before = [(other.run, other.time_s) for other in impacts if one.just_after(other)]
-        parts = usable_runs(machine, named[one.run], [*cuts, *before]) if before else []
-        behind = [run for run in parts if run.t_s[0] < one.time_s < run.t_s[-1]]
-        if not before or any(shows(machine, run, one, values, noise) for run in behind):
-            told.append(one)
+        before_s = [other.time_s for other in impacts if one.just_after(other)]
+        if before_s:
+            log = named[one.run]
+            end_s = min(r.t_s[-1] for r in runs if r.name == one.run and r.t_s[-1] >= one.time_s)
+            begin, end = np.searchsorted(log.t_s, [max(before_s) + CUT_S, end_s])
+            behind = make_run(machine, log, int(begin), int(end) + 1)
+            if not shows(machine, behind, one, values, noise):
+                continue
+        told.append(one)
     return told
 
 
@@ -627,8 +627,8 @@ def _varying(selected: Sequence[Selected]) -> list[Selected]:
     """Return the effects whose size is not the same throughout the logs, where that leaves much.
 
     A size that varies by v leaves v^2 of its gain. What a weak effect leaves so is nothing beside
-    stronger ones; the friction curve, strong as it may be, covers nothing. Nor does any law of
-    friction hold exactly.
+    stronger ones; the friction curve, strong as it may be, covers nothing. What any law of friction
+    is off by is no news.
     """
     named = sum(one.evidence.gain for one in selected if one.candidate.effect != CURVE)
     return [
@@ -636,7 +636,7 @@ def _varying(selected: Sequence[Selected]) -> list[Selected]:
         for one in selected
         if one.evidence.inflation > VARIES_SURELY
         and one.evidence.variation**2 * one.evidence.gain
-        > max(VARIES**2 * max(named, one.evidence.gain), one.law)
+        > max(VARIES**2 * max(named, one.evidence.gain), one.law_gain)
     ]
 
 

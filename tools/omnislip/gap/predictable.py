@@ -24,8 +24,8 @@ No term has to be guessed beforehand, so this finds hysteresis, products and thr
 not say what they are (unknown.py tries to). Beside effects that explain nearly everything a small
 rest may well be predictable, for no shape is exact: then the share is one of `REST` of the
 disturbances without the effects, where that is more. Nor is any law of friction exact: what
-friction is off by goes on as long as wheels slide, so the share is at least one of `LAW_SHARE` of
-what friction does.
+friction is off by goes on as long as wheels slide, so the share is taken of no less than
+`FRICTION_SHARE` of what friction does.
 """
 
 from collections.abc import Sequence
@@ -39,7 +39,7 @@ from threadpoolctl import threadpool_limits
 from omnislip import _core
 from omnislip.gap.answers import foreseen, lead_rows
 from omnislip.gap.machine import LESS_GRIP, Machine
-from omnislip.gap.noise import DISTURBANCES, Noise, track_all
+from omnislip.gap.noise import BODY, DISTURBANCES, SHAFT, YAW, Noise, track_all
 from omnislip.gap.recordings import Run
 from omnislip.gap.side_by_side import side_by_side
 
@@ -61,11 +61,11 @@ REST = 0.2
 SEEN = 1e-3
 """Share of the variance that the noise allows below which the filter saw no disturbances: what it
 makes of rounded counts in a simulation is the same in every run of the same commands."""
-LAW_SHARE = 1e-4
-"""Square of how far friction may be off. Where the law was a double exponential, disturbances were
-0.4 % of friction and told 0.37 of themselves; a stuck roller's were 6 %, those of a driver that
-folds back as it warms 24 %."""
-MOVED = [0, 1, 2, 3, 8, 9, 10]
+FRICTION_SHARE = 1e-4
+"""Square of how far friction may be off, its keys and curve fitted. Where its law was a double
+exponential, disturbances were 0.4 % of friction and told 0.37 of themselves; a stuck roller's were
+6 %, those of a driver that folds back as it warms 24 %."""
+MOVED = np.r_[SHAFT, BODY, YAW]
 """States that the equations move."""
 PAST_S = (0.005, 0.01, 0.02, 0.05)
 TREES = {"max_iter": 50, "learning_rate": 0.1, "max_leaf_nodes": 8, "min_samples_leaf": 40}
@@ -120,7 +120,7 @@ def predictable_shares(
     later, latest = (np.concatenate(each) for each in zip(*pasts, strict=True))
     least = REST * np.sum(np.concatenate(there) ** 2, axis=0)
     least = np.maximum(least, SEEN * noise.coloured * len(y))
-    least = np.maximum(least, LAW_SHARE * np.sum(np.concatenate(friction) ** 2, axis=0))
+    least = np.maximum(least, FRICTION_SHARE * np.sum(np.concatenate(friction) ** 2, axis=0))
     folds = [range(first, len(names), FOLDS) for first in range(min(FOLDS, len(names)))]
 
     def shares_of(index: int) -> list[Predictable]:

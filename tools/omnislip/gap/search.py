@@ -178,9 +178,9 @@ class Selected:
     """Gain that the other effects would leave to it if they were off by all that they do."""
     instead: Shape | None = None
     """What explains most in its place without a name; of the friction curve nothing."""
-    law: float = 0.0
-    """Gain that friction over slip may leave to it, off its law as on any floor: of what changes
-    it."""
+    law_gain: float = 0.0
+    """Gain that it may owe to friction's law, which is off on any floor; 0 for what does not change
+    the friction over slip."""
 
 
 @dataclass(frozen=True)
@@ -290,7 +290,7 @@ def search(
         if without.objective < current.objective - CONVERGED * max(1.0, gain):
             current = without  # the gain was that of the keys, which had not settled
             continue
-        had = {effect.name for effect in current.hypothesis.effects}
+        had = {(effect.name, effect.places) for effect in current.hypothesis.effects}
         nearest = [s.candidate for s in screened[:NEIGHBOURS]]
         # What shows only beside the newest effect may be what an older one was taken for.
         neighbours = {
@@ -318,7 +318,8 @@ def search(
             curves = _curves_in(current)
         taken = {effect.name for effect in current.hypothesis.effects}
         candidates = [c for c in (*candidates, *chosen) if c.name not in taken]
-        vain = vain + 1 if taken == had else 0
+        have = {(effect.name, effect.places) for effect in current.hypothesis.effects}
+        vain = vain + 1 if have == had else 0
     final = current
     if current is not settled:
         progress("fitting the final model")
