@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from axis_bench import Bench, make_log, model_text
+from omnislip.gap import plan as planning
 from omnislip.gap.truth import TruthCase, write_case
 from omnislip.log_file import Log, write_log
 from omnislip.model_file import NOMINAL_ROBOT
@@ -105,6 +106,23 @@ def test_plan_drives_over_the_patch_that_a_gap_json_names(omnislip, tmp_path):
     assert f"rehearse it: omnislip simulate plan/{written.name}" in ended.stdout
     body_x_m = simulate_truth(best)["pose"][:, 0]
     assert np.any((body_x_m > PATCH["x_min_m"]) & (body_x_m < PATCH["x_max_m"]))
+
+
+@pytest.mark.parametrize(
+    ("separation", "told"),
+    [(3.9, "hardly tell them apart"), (4.0, "Drive it 6 times: then it is right in 99 of 100")],
+)
+def test_plan_says_whether_and_how_often_to_drive(
+    separation, told, omnislip, tmp_path, monkeypatch
+):
+    """A lead of (2 * 2.33)^2 = 21.6 is wrong once in a hundred."""
+    drive = planning.Manoeuvre("twist", "twists", 1.0, [])
+    ranked = [planning.Separation(drive, separation, 0.0)]
+    monkeypatch.setattr(planning, "plan", lambda *_: ranked)
+    monkeypatch.setattr(planning, "write_plan", lambda *_: tmp_path / "twist.toml")
+    names = ["driver_lag", "actuation_delay"]
+    ended = omnislip("gap", "plan", "--robot", NOMINAL_ROBOT, "--out", "plan", *names)
+    assert ended.status == 0 and told in ended.stdout
 
 
 def test_plan_knows_an_effect_that_the_robot_file_defines(omnislip, tmp_path):

@@ -147,7 +147,11 @@ MISTAKES = {
         ["tolerance.robot.wheel_angles_deg", "0 or left out"],
     ),
     "bad syntax": ("mass_kg = 20.0", "mass_kg = = 20.0", ["not valid TOML", "line 6"]),
-    "key given twice": ("mass_kg = 20.0", "mass_kg = 1\nmass_kg = 2", ["given twice", "line 7"]),
+    "key given twice": (
+        "mass_kg = 20.0",
+        "mass_kg = 1\nmass_kg = 2",
+        ["not valid TOML", "given twice", "line 7"],
+    ),
     "table as value": ("[robot]", "motor = 1\n[robot]", ["not valid TOML"]),
 }
 EFFECT_MISTAKES = {

@@ -30,7 +30,7 @@ from scipy.optimize import least_squares
 from omnislip import _core
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import Noise, stall_current_a, track_all, track_recordings
-from omnislip.gap.recordings import Run
+from omnislip.gap.recordings import Run, rim_m_per_rad
 from omnislip.gap.side_by_side import side_by_side
 from omnislip.log_file import Log
 from omnislip.model_file import IMPACT_KEYS, Effect, Model
@@ -258,9 +258,14 @@ def _repeats(runs: Sequence[Run], one: Impact, other: Impact) -> bool:
     )
 
 
+def run_around(runs: Sequence[Run], push: Impact) -> Run:
+    """Return the run in which a push is; a log may be in several."""
+    return next(r for r in runs if r.name == push.run and r.t_s[0] <= push.time_s <= r.t_s[-1])
+
+
 def _commands_before(runs: Sequence[Run], push: Impact, rows_after: int = 0) -> Array:
     """Commands (times, 4) in the horizon before a push, and in some rows after it."""
-    run = next(r for r in runs if r.name == push.run and r.t_s[0] <= push.time_s <= r.t_s[-1])
+    run = run_around(runs, push)
     time_s = push.time_s - np.linspace(-rows_after * run.row_s, HORIZON_S, TIMES)
     return np.stack([np.interp(time_s, run.t_s, column) for column in run.command.T], axis=1)
 
@@ -302,9 +307,8 @@ def _feigned_m_s(machine: Machine, run: Run, row: int, model: Array) -> float:
 def _stall_m_s2(machine: Machine) -> float:
     """Return how fast the motors would start the body at full duty if all pulled one way."""
     values = machine.model.values
-    wheel_nm = stall_current_a(machine) * values["motor.torque_constant_nm_a"]
-    wheel_nm *= values["motor.gear_ratio"]
-    return 4.0 * wheel_nm / values["robot.wheel_radius_m"] / values["robot.mass_kg"]
+    shaft_nm = stall_current_a(machine) * values["motor.torque_constant_nm_a"]
+    return 4.0 * shaft_nm / rim_m_per_rad(machine) / values["robot.mass_kg"]
 
 
 def as_effect(impact: Impact) -> Effect:

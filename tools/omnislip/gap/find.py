@@ -28,6 +28,7 @@ from omnislip.gap.events import (
     find_impacts,
     known_pushes,
     pieces,
+    run_around,
     shows,
     too_often,
 )
@@ -527,9 +528,9 @@ def _pushes_in(
     for one in impacts:
         before_s = [other.time_s for other in impacts if one.just_after(other)]
         if before_s:
-            log = named[one.run]
-            end_s = min(r.t_s[-1] for r in runs if r.name == one.run and r.t_s[-1] >= one.time_s)
-            begin, end = np.searchsorted(log.t_s, [max(before_s) + CUT_S, end_s])
+            log, around = named[one.run], run_around(runs, one)
+            begin_s = max(max(before_s) + CUT_S, around.t_s[0])
+            begin, end = np.searchsorted(log.t_s, [begin_s, around.t_s[-1]])
             behind = make_run(machine, log, int(begin), int(end) + 1)
             if not shows(machine, behind, one, values, noise):
                 continue

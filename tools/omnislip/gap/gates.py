@@ -22,6 +22,8 @@ from omnislip.gap.noise import (
     STEP_S,
     RunawayError,
     first_guess,
+    stall_acceleration_rad_s2,
+    stall_current_a,
     track_all,
     track_recordings,
     tune_noise,
@@ -251,18 +253,12 @@ def _gaps(log: Log) -> list[float]:
 def _jumping_counts(machine: Machine, log: Log) -> str | None:
     """A step of the counter that the motor cannot make: a counter of another width, or errors."""
     values = machine.model.values
-    stall_rad_s2 = (
-        values["motor.torque_constant_nm_a"]
-        * values["motor.supply_v"]
-        / values["motor.resistance_ohm"]
-        / values["motor.inertia_kg_m2"]
-    )
     counts_per_rad = values["encoder.counts_per_rev"] / (2 * np.pi)
     dt_s = np.diff(log.t_s)
     for wheel, name in enumerate(ROBOT_CHANNELS[:4], 1):
         speed = np.diff(unwrap_counts(log.columns[name])) / dt_s
         change = np.abs(speed[1:-1] - (speed[2:] + speed[:-2]) / 2) * dt_s[1:-1]
-        possible = 2.0 * stall_rad_s2 * counts_per_rad * dt_s[1:-1] ** 2 + 20
+        possible = 2.0 * stall_acceleration_rad_s2(machine) * counts_per_rad * dt_s[1:-1] ** 2 + 20
         bad = np.flatnonzero(change > possible)
         if not bad.size:
             continue
@@ -548,10 +544,8 @@ def _wrong_speed(machine: Machine, log: Log) -> str | None:
 
 def _electric(machine: Machine, log: Log) -> str | None:
     """Volts and amperes of a plausible size."""
-    values = machine.model.values
-    stall_a = values["motor.supply_v"] / values["motor.resistance_ohm"]
-    limits = {name: 3.0 * stall_a for name in ELECTRIC_CHANNELS[1:]}
-    limits[ELECTRIC_CHANNELS[0]] = 3.0 * values["motor.supply_v"]
+    limits = {name: 3.0 * stall_current_a(machine) for name in ELECTRIC_CHANNELS[1:]}
+    limits[ELECTRIC_CHANNELS[0]] = 3.0 * machine.model.values["motor.supply_v"]
     for name, most in limits.items():
         rows = _sampled(log, name)
         size = float(np.percentile(np.abs(log.columns[name][rows]), 95)) if rows.size else 0.0

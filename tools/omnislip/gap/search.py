@@ -290,7 +290,7 @@ def search(
         if without.objective < current.objective - CONVERGED * max(1.0, gain):
             current = without  # the gain was that of the keys, which had not settled
             continue
-        had = {(effect.name, effect.places) for effect in current.hypothesis.effects}
+        had = set(current.hypothesis.parameters)
         nearest = [s.candidate for s in screened[:NEIGHBOURS]]
         # What shows only beside the newest effect may be what an older one was taken for.
         neighbours = {
@@ -318,8 +318,7 @@ def search(
             curves = _curves_in(current)
         taken = {effect.name for effect in current.hypothesis.effects}
         candidates = [c for c in (*candidates, *chosen) if c.name not in taken]
-        have = {(effect.name, effect.places) for effect in current.hypothesis.effects}
-        vain = vain + 1 if have == had else 0
+        vain = vain + 1 if set(current.hypothesis.parameters) == had else 0
     final = current
     if current is not settled:
         progress("fitting the final model")
