@@ -189,26 +189,37 @@ def _pieces(machine, logs):
 
 
 @pytest.mark.parametrize(
-    ("gain", "explained", "misfit", "deviation", "confirmed"),
+    ("gain", "explained", "misfit", "confirmed"),
     [
-        (1e3, 0.85, 5.0, 0.3, True),
-        (1e3, 0.85, 27.0, 0.3, False),  # something else happened
-        (1e5, 0.97, 27.0, 0.3, True),  # a hard push that lasts
-        (1e5, 0.75, 5.0, 0.3, False),  # wheels that break loose
-        (50.0, 0.97, 1.0, 0.3, False),
-        (1e3, 0.97, 5.0, 0.4, False),  # it may be nothing
+        (1e3, 0.85, 5.0, True),
+        (1e3, 0.85, 27.0, False),  # something else happened
+        (1e5, 0.97, 27.0, True),  # a hard push that lasts
+        (1e5, 0.75, 5.0, False),  # wheels that break loose
+        (50.0, 0.97, 1.0, False),
     ],
 )
-def test_the_plant_confirms_a_push(gain, explained, misfit, deviation, confirmed):
-    deviations = np.full(3, deviation)
+def test_the_plant_confirms_a_push(gain, explained, misfit, confirmed):
+    deviations = np.full(3, 0.3)
     push = Impact("run_01", 1.0, np.ones(3), deviations, 0.0, misfit, gain, explained)
     assert push.confirmed == confirmed
 
 
-def test_a_push_may_turn_the_robot_alone():
-    deviations = np.array([0.5, 0.5, 0.01])
-    push = Impact("run_01", 1.0, np.array([0.1, 0.1, 0.5]), deviations, 0.0, 1.0, 1e3, 0.97)
-    assert push.confirmed
+@pytest.mark.parametrize(
+    ("impulse", "deviations", "speed_n_s", "turn_n_m_s"),
+    [
+        ((3.0, 4.0, 0.5), (0.5, 0.5, 0.1), 5.0, 0.5),
+        ((0.1, 0.1, 0.5), (0.5, 0.5, 0.01), 0.0, 0.5),  # it turns the robot alone
+        ((0.9, 6.9, 0.06), (3.0, 4.5, 0.01), 0.0, 0.06),  # wheels slid, no camera: only a turn
+        ((1.0, 1.0, 1.0), (0.4, 0.4, 0.4), 0.0, 0.0),  # it may be nothing
+    ],
+)
+def test_a_push_counts_by_what_is_known_to_a_third(impulse, deviations, speed_n_s, turn_n_m_s):
+    model = read_model(NOMINAL_ROBOT)
+    push = Impact("run_01", 1.0, np.array(impulse), np.array(deviations))
+    turn_rad_s = turn_n_m_s / model.values["robot.inertia_kg_m2"]
+    expected = speed_n_s / model.values["robot.mass_kg"]
+    expected += turn_rad_s * model.values["robot.wheel_distance_m"]
+    assert push.jump_m_s(Machine(model)) == pytest.approx(expected)
 
 
 def test_an_impact_is_written_to_a_model_file_and_read_back(tmp_path):

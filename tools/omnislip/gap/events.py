@@ -112,21 +112,21 @@ class Impact:
     def confirmed(self) -> bool:
         """Whether the plant's own replay says that this happened."""
         fits = self.misfit <= MOST_MISFIT or self.explained >= ALONE
-        return self.gain >= LEAST_RATIO and self.explained >= REPLAYED and fits and self._sized
+        return self.gain >= LEAST_RATIO and self.explained >= REPLAYED and fits
 
-    @property
-    def _sized(self) -> bool:
-        """Whether how far it pushes or turns is known to a third."""
-        push, turn = (np.linalg.norm(part) for part in (self.impulse[:2], self.impulse[2:]))
+    def jump_m_s(self, machine: Machine) -> float:
+        """Return the jump of a wheel's hub, at most, by what is known to a third of its size.
+
+        By encoders alone a push that sets wheels sliding may be anything; a turn that comes with
+        it is no reason to tell it.
+        """
+        push, turn = (float(np.linalg.norm(part)) for part in (self.impulse[:2], self.impulse[2:]))
         push_sd, turn_sd = (
             np.linalg.norm(part) for part in (self.deviation[:2], self.deviation[2:])
         )
-        return bool(push > LEAST_DEVIATIONS * push_sd or turn > LEAST_DEVIATIONS * turn_sd)
-
-    def jump_m_s(self, machine: Machine) -> float:
-        """Return the jump of a wheel's hub, at most."""
-        speed = float(np.hypot(*self.impulse[:2])) / machine.believed[0]
-        return speed + abs(self.impulse[2]) / machine.believed[1] * machine.believed[3]
+        speed_m_s = push / machine.believed[0] if push > LEAST_DEVIATIONS * push_sd else 0.0
+        rate_rad_s = turn / machine.believed[1] if turn > LEAST_DEVIATIONS * turn_sd else 0.0
+        return speed_m_s + rate_rad_s * float(machine.believed[3])
 
     def near(self, other: "Impact") -> bool:
         """Whether both may be the same push, seen by two models."""
