@@ -105,6 +105,32 @@ def test_a_push_after_which_wheels_slide_is_found(tmp_path, monkeypatch):
     assert found_in(tmp_path / "again", push, friction_curve="tanh") == []
 
 
+def test_wheels_that_grip_later_than_friction_says_are_no_push(monkeypatch):
+    """They spin on a slippery floor, and no camera or gyro tells how the robot goes meanwhile."""
+    model = read_model(NOMINAL_ROBOT)
+    model.values["contact.mu_drive"] = 0.15
+    ways = np.array([-1.0, 1.0, 1.0, -1.0])
+    driving = [
+        {"t_s": t_s, "kind": "duty", "value": (0.9 * np.sin(2.0 * np.pi * t_s) * ways).tolist()}
+        for t_s in np.arange(600) / 100
+    ]
+    machine = Machine(model)
+
+    def run_with_grip(scale, seed):
+        hidden = [Effect("low_grip", {"scale": scale})] if scale != 1.0 else []
+        robot = replace(model, effects=hidden)
+        scenario = Scenario("run", 6.0, robot, driving, sensors=Sensors(), seed=seed)
+        log = make_log(scenario, simulate_truth(scenario))
+        return make_run(machine, replace(log, columns=_without_gyro(_without_pose(log.columns))))
+
+    noise = tune_noise(machine, [run_with_grip(1.0, 2)], machine.believed)
+    run = run_with_grip(0.9, 1)
+    assert find_impacts(machine, [run], machine.believed, noise) == []
+    monkeypatch.setattr(events, "BY_FRICTION", np.inf)
+    (feigned,) = find_impacts(machine, [run], machine.believed, noise)
+    assert feigned.jump_m_s(machine) > 0.3
+
+
 @pytest.mark.parametrize("curve", ["atan", "tanh"])
 def test_driving_hard_is_no_push(tmp_path, curve):
     assert found_in(tmp_path, friction_curve=curve) == []
@@ -173,6 +199,10 @@ def test_what_begins_amid_driving_is_followed_as_well_as_what_comes_later():
         early.append(squares[first].mean())
         late.append(squares[~first].mean())
     assert max(early) < 2.0 * np.mean(late)
+
+
+def _without_gyro(columns):
+    return {name: value for name, value in columns.items() if not name.startswith("gyro/")}
 
 
 def _without_pose(columns):
