@@ -73,6 +73,24 @@ def test_a_camera_that_bends_the_place_is_named(logs, dependence, bend):
     assert (found[0].equation, found[0].dependence) == ("camera", dependence)
 
 
+@pytest.mark.parametrize(
+    ("ahead_m", "left_m", "side"), [(0.02, 0, "ahead of"), (0, 0.02, "beside")]
+)
+def test_a_marker_off_the_centre_is_named(logs, ahead_m, left_m, side):
+    def shown(log):
+        x, y, heading = (log.columns[f"pose/{name}"] for name in ("x_m", "y_m", "theta_rad"))
+        cos, sin = np.cos(heading), np.sin(heading)
+        moved = {
+            "pose/x_m": x + ahead_m * cos - left_m * sin,
+            "pose/y_m": y + ahead_m * sin + left_m * cos,
+        }
+        return replace(log, columns=log.columns | moved)
+
+    found = left_in([shown(log) for log in logs])
+    dependence = f"heading, as of a marker {side} the centre"
+    assert (found[0].equation, found[0].dependence) == ("camera", dependence)
+
+
 @pytest.mark.parametrize("hidden", ["quadratic_wheel_drag", "fifth_order_drag"])
 def test_a_nameless_term_explains_more_than_a_name_of_another_shape(hidden):
     """Two drags that both grow with speed; only one of them is quadratic."""

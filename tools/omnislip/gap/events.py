@@ -49,8 +49,8 @@ enough from so many m/s on, for after a hard push wheels slide, and the linear r
 what an unknown effect does."""
 BY_FRICTION, MOST_OFF = 0.7, 0.15
 """Share of g from which on friction that is off by so much at most explains what a push would. Of
-55 true pushes it explained 0.36 at most, of
-what a filter found out when wheels gripped again 0.9 and more."""
+55 true pushes it explained 0.36 at most, of what a filter found out when wheels gripped again 0.9
+and more."""
 REPLAYED = 0.8
 """Share of the squared errors of the plant's own replay: pushes of 0.06 to 0.5 m/s explained 0.96
 and more of it, what wheels that break loose in violent driving feign 0.5 to 0.77."""
@@ -168,6 +168,12 @@ def _impacts_in(machine: Machine, run: Run, values: Array, noise: Noise) -> list
         if explained[peak] >= HARD_EXPLAINED and by_friction[peak] < BY_FRICTION * ratio[peak]:
             row = pushes.likeliest_row(peak, ratio > threshold)
             impact = _size_up(machine, run, row, values, noise, filtered, jump[row])
+            if run.t_s[row] - impact.time_s < SPAN_S / TIMES:
+                # After a hard push g may be largest at a row that foresees it.
+                behind = min(row + int(np.ceil(SPAN_S / run.row_s)), len(run.t_s) - 2)
+                later = _size_up(machine, run, behind, values, noise, filtered, jump[behind])
+                if later.misfit < impact.misfit:
+                    row, impact = behind, later
             jump_m_s = impact.jump_m_s(machine)
             shown = explained[peak] >= EXPLAINED or jump_m_s >= HARD_M_S
             least = max(LEAST_JUMP_M_S, _feigned_m_s(machine, run, row, values))

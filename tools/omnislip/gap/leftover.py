@@ -345,9 +345,15 @@ CAMERA_SHAPES: dict[str, Callable[..., Array]] = {
     "place x": lambda x, d, t, i: x[:, 6 + i] * x[:, 11],
     "place y": lambda x, d, t, i: x[:, 6 + i] * x[:, 12],
     "axis": lambda x, d, t, i: x[:, 6 + i] * (1.0 if i == 5 else -1.0),
+    "heading, as of a marker ahead of the centre": lambda x, d, t, i: np.cos(
+        x[:, 13] - (i == 6) * np.pi / 2
+    ),
+    "heading, as of a marker beside the centre": lambda x, d, t, i: np.cos(
+        x[:, 13] - (i == 6) * np.pi / 2 + np.pi / 2
+    ),
 }
-"""What a camera shows besides, in proportion to the place: a lens that bends, a camera that looks
-askew, axes of two scales."""
+"""What a camera shows besides. In proportion to the place: a lens that bends, a camera that looks
+askew, axes of two scales. With the heading: a marker that is not at the robot's centre."""
 
 YAW_SHAPES: dict[str, Callable[..., Array]] = {
     "constant": lambda x, d, t, i: np.ones(len(x)),
