@@ -247,10 +247,12 @@ def test_the_plant_confirms_a_push(gain, explained, misfit, confirmed):
         ((3.0, 4.0, 0.5), (0.5, 0.5, 0.1), 5.0, 0.5),
         ((0.1, 0.1, 0.5), (0.5, 0.5, 0.01), 0.0, 0.5),  # it turns the robot alone
         ((0.9, 6.9, 0.06), (3.0, 4.5, 0.01), 0.0, 0.06),  # wheels slid, no camera: only a turn
+        ((0.3, -0.4, 0.0), (0.13, 0.0, 0.1), 0.5, 0.0),  # open across it more than along
+        ((1.0, 0.0, 0.0), (0.1, 1.0, 0.1), 0.0, 0.0),  # it may go anywhere
         ((1.0, 1.0, 1.0), (0.4, 0.4, 0.4), 0.0, 0.0),  # it may be nothing
     ],
 )
-def test_a_push_counts_by_what_is_known_to_a_third(impulse, deviations, speed_n_s, turn_n_m_s):
+def test_a_push_counts_by_what_is_known_to_a_quarter(impulse, deviations, speed_n_s, turn_n_m_s):
     model = read_model(NOMINAL_ROBOT)
     push = Impact("run_01", 1.0, np.array(impulse), np.array(deviations))
     turn_rad_s = turn_n_m_s / model.values["robot.inertia_kg_m2"]

@@ -64,8 +64,8 @@ COMMAND_JUMP = 0.1
 MOST_MISFIT, ALONE = 9.0, 0.95
 """A jump that leaves errors three times their standard deviation is not what happened; unless it
 explains such a share of a replay: a hard push that lasts 12 ms leaves five times."""
-LEAST_DEVIATIONS = 3.0
-"""Of its size that a push must have: those of 0.05 m/s had six, what closed loops feign had two."""
+LEAST_DEVIATIONS = 4.0
+"""Of its size that a push must have: those of 0.05 m/s had eight, what closed loops feign three."""
 APART_S = 0.3
 REPEATED_S = 0.02
 """Difference of the times of what repeats in another run."""
@@ -119,18 +119,15 @@ class Impact:
         return self.gain >= LEAST_RATIO and self.explained >= REPLAYED and fits
 
     def jump_m_s(self, machine: Machine) -> float:
-        """Return the jump of a wheel's hub, at most, by what is known to a third of its size.
+        """Return the jump of a wheel's hub, at most, by what is known to a quarter of its size.
 
         By encoders alone a push that sets wheels sliding may be anything; a turn that comes with
         it is no reason to tell it.
         """
-        push, turn = (float(np.linalg.norm(part)) for part in (self.impulse[:2], self.impulse[2:]))
-        push_sd, turn_sd = (
-            np.linalg.norm(part) for part in (self.deviation[:2], self.deviation[2:])
-        )
-        speed_m_s = push / machine.believed[0] if push > LEAST_DEVIATIONS * push_sd else 0.0
-        rate_rad_s = turn / machine.believed[1] if turn > LEAST_DEVIATIONS * turn_sd else 0.0
-        return speed_m_s + rate_rad_s * float(machine.believed[3])
+        push_n_s = _if_known(self.impulse[:2], self.deviation[:2])
+        turn_n_m_s = _if_known(self.impulse[2:], self.deviation[2:])
+        mass_kg, inertia_kg_m2, _, distance_m = machine.believed[:4]
+        return float(push_n_s / mass_kg + turn_n_m_s / inertia_kg_m2 * distance_m)
 
     def near(self, other: "Impact") -> bool:
         """Whether both may be the same push, seen by two models."""
@@ -143,6 +140,17 @@ class Impact:
     def same_as(self, other: "Impact") -> bool:
         """Whether both are the same push, seen by one model."""
         return self.run == other.run and abs(self.time_s - other.time_s) < HORIZON_S
+
+
+def _if_known(jump: Array, deviation: Array) -> float:
+    """Return the size of a jump if that is known to a quarter, else 0.
+
+    Of what is open across it the size has its square over twice the size.
+    """
+    size = float(np.linalg.norm(jump))
+    along = float(np.sum((jump * deviation) ** 2)) / max(size, 1e-12) ** 2
+    across = (float(np.sum(deviation**2)) - along) / (2.0 * max(size, 1e-12))
+    return size if size > LEAST_DEVIATIONS * np.hypot(np.sqrt(along), across) else 0.0
 
 
 def find_impacts(
