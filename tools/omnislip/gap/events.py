@@ -65,7 +65,8 @@ MOST_MISFIT, ALONE = 9.0, 0.95
 """A jump that leaves errors three times their standard deviation is not what happened; unless it
 explains such a share of a replay: a hard push that lasts 12 ms leaves five times."""
 LEAST_DEVIATIONS = 4.0
-"""Of its size that a push must have: those of 0.05 m/s had eight, what closed loops feign three."""
+"""Of its size that a push must have. Those of 0.05 m/s had six by both axes together, what closed
+loops feign two: by the size alone that is 8.5 and 2.8 where both axes are alike."""
 APART_S = 0.3
 REPEATED_S = 0.02
 """Difference of the times of what repeats in another run."""
@@ -206,8 +207,9 @@ def _by_friction(
 ) -> Array:
     """Return what friction of another size explains of the horizon from each row on, as g (rows,).
 
-    While wheels slide and no camera looks, only friction tells how the robot goes. A filter that
-    has it a little wrong finds out where they grip, all at once, as after a push.
+    While wheels slide only friction tells how the robot goes, from one picture of a camera to the
+    next or without one for long. A filter that has it a little wrong finds out all at once where
+    they grip, as after a push.
     """
     less = machine.with_less_grip(values)
     [track] = track_all(machine, [run], less, noise, keep_linear=True)
