@@ -1,21 +1,17 @@
 """What is left though no effect explains it: a term of the dictionary says where."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from omnislip.gap.inference import Data, fit
-from omnislip.gap.leftover import (
-    BODY_SHAPES,
-    dictionary,
-    find_leftover,
-    responses,
-    shapes_instead,
-)
+from omnislip.gap.leftover import find_leftover, responses, shapes_instead
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import tune_noise
 from omnislip.gap.recordings import make_run, unwrap_counts
 from omnislip.gap.search import believed_hypothesis, settle
+from omnislip.gap.terms import BODY_SHAPES, dictionary, nameless, swing_terms
 from omnislip.gap.truth import TruthCase
 from omnislip.gap.truth_effects import typical_effect
 from omnislip.model_file import NOMINAL_ROBOT, read_model
@@ -37,11 +33,11 @@ def left_in(logs):
     return find_leftover(data, fitted, responses(data, fitted, dictionary(MACHINE)))
 
 
-def rippling(log, wheel, order):
-    """An encoder that shows a + 0.02 sin(order a) rad."""
+def rippling(log, wheel, order, phase_rad=0.0):
+    """An encoder that shows a + 0.02 sin(order a + phase) rad."""
     name, per_rad = f"wheel/{wheel}/encoder_counts", 2000 / (2 * np.pi)
     counts = unwrap_counts(log.columns[name])
-    shown = np.round(counts + 0.02 * per_rad * np.sin(order * counts / per_rad))
+    shown = np.round(counts + 0.02 * per_rad * np.sin(order * counts / per_rad + phase_rad))
     return replace(log, columns=log.columns | {name: shown})
 
 
@@ -54,6 +50,61 @@ def test_one_encoder_that_ripples_is_named(logs, wheel, order, angle):
     found = left_in([rippling(log, wheel, order) for log in logs])
     assert found[0].equation == f"encoder/{wheel}/angle"
     assert found[0].dependence == f"sine of {angle} shaft angle"
+
+
+def test_a_wheel_whose_angle_no_log_begins_at_is_named(logs):
+    """Counters start at zero wherever the wheel stands: each log has a phase of its own."""
+    phases = np.arange(len(logs)) * 2.0
+    shown = [rippling(log, 2, 3 / 12, phase) for log, phase in zip(logs, phases, strict=True)]
+    found = left_in(shown)[0]
+    assert found.equation == "encoder/2/angle"
+    assert found.dependence == "3 times the wheel angle, with a phase of each run's own"
+    assert found.validation_gain > 0.9 * found.gain
+
+
+def test_a_floor_of_waves_is_named_with_their_length():
+    waves = {"amplitude_m_s2": 0.3, "length_m": 0.45}
+    effect = {"name": "sine_floor", "parameters": waves}
+    case = TruthCase(seed=8, runs=4, run_duration_s=4.0, base_offset_sd=0.0, effects=(effect,))
+    found = left_in(logs_of(case))
+    words = {one.equation: one.dependence.split() for one in found if "a wave" in one.dependence}
+    assert float(words["world/force_x"][3]) == pytest.approx(0.45, rel=0.1)
+    assert int(words["world/force_x"][-2]) == pytest.approx(0, abs=15)
+    assert abs(int(words["world/force_y"][-2])) == pytest.approx(90, abs=15)
+
+
+@pytest.mark.parametrize("swing_hz", [1.2, 3.3])
+def test_a_load_that_swings_is_named_with_its_frequency(logs, swing_hz):
+    """The residuals are moved by what 0.3 of the robot's mass on a spring would do to them."""
+    runs = [make_run(MACHINE, log) for log in logs]
+    start = believed_hypothesis(MACHINE)
+    data = Data(MACHINE, runs, tune_noise(MACHINE, runs, MACHINE.believed), start)
+    fitted = fit(data, start)
+    free = responses(data, fitted, swing_terms("world/force", swing_hz, 0.05))
+    moved = replace(fitted, residual=fitted.residual + 0.3 * free.sum(axis=1))
+    found = find_leftover(data, moved, responses(data, moved, dictionary(MACHINE)))[0]
+    assert found.equation == "world/force"
+    shown = re.search(r"swings at ([\d.]+) Hz", found.dependence)
+    assert float(shown[1]) == pytest.approx(swing_hz, rel=0.1)
+
+
+def test_a_load_on_a_spring_that_was_struck_rings_down():
+    """y'' + 2 z w y' + w^2 y = 0 after a step of 1 m/s: y' = -1 then, in closed form."""
+    swing_hz, damping = 2.0, 0.1
+    t_s = np.arange(0.0, 2.0, 0.005)
+    state = np.zeros((len(t_s), 14))
+    state[1:, 10] = 1.0
+    place, speed = (
+        term.shape(state, None, t_s, 10)[1:]
+        for term in swing_terms("body/moment", swing_hz, damping)
+    )
+    w, since_s = 2 * np.pi * swing_hz, t_s[1:] - 0.0025
+    ringing = w * np.sqrt(1.0 - damping**2)
+    fading = np.exp(-damping * w * since_s)
+    sine, cosine = np.sin(ringing * since_s), np.cos(ringing * since_s)
+    np.testing.assert_allclose(place, -(w**2) / ringing * fading * sine, atol=0.03 * w)
+    exact = -w * fading * (cosine - damping * w / ringing * sine)
+    np.testing.assert_allclose(speed, exact, atol=0.03 * w)
 
 
 @pytest.mark.parametrize(
@@ -113,7 +164,8 @@ def test_a_nameless_term_explains_more_than_a_name_of_another_shape(hidden):
 
 
 def test_terms_have_names_of_their_own():
-    names = [(term.equation, term.dependence) for term in dictionary(MACHINE)]
+    terms = [*dictionary(MACHINE), *nameless(MACHINE)]
+    names = [(term.equation, term.dependence) for term in terms]
     assert len(set(names)) == len(names)
 
 

@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from omnislip.gap.leftover import find_leftover, responses
 from omnislip.gap.machine import Machine
 from omnislip.gap.recordings import make_run
 from omnislip.gap.search import believed_hypothesis, settle
+from omnislip.gap.terms import Quantity, dictionary
 from omnislip.gap.truth import TruthCase, write_case
-from omnislip.gap.unknown import Curve, Quantity, describe_unknown, equations, propose
+from omnislip.gap.unknown import Curve, describe_unknown, equations, propose
 from omnislip.log_file import Log, read_log
 from omnislip.model_file import NOMINAL_ROBOT, read_model
 
@@ -40,7 +42,8 @@ def begun_later(log, rows):
 def described(machine, runs):
     """What the description says beside the believed model, its keys refitted."""
     data, fitted = settle(machine, runs, believed_hypothesis(machine))
-    return describe_unknown(SimpleNamespace(data=data, final=fitted))
+    leftover = find_leftover(data, fitted, responses(data, fitted, dictionary(machine)))
+    return describe_unknown(SimpleNamespace(data=data, final=fitted, leftover=leftover))
 
 
 @pytest.mark.parametrize("shift_rows", [0, 31])

@@ -40,11 +40,11 @@ import numpy as np
 import numpy.typing as npt
 
 from omnislip import _core
-from omnislip.gap.leftover import NULL_SPACE
 from omnislip.gap.machine import Machine
 from omnislip.gap.metrics import WINDOW_S, Replays
 from omnislip.gap.noise import GYRO, HEADING, POSE_XY, SHAFT, Noise, track_all
 from omnislip.gap.recordings import Run, rim_m_per_rad, wheel_jacobian
+from omnislip.gap.terms import NULL_SPACE
 
 Array = npt.NDArray[np.float64]
 

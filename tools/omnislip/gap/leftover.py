@@ -10,13 +10,15 @@ it depends, not what it is.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
 from scipy.stats import chi2
 
 from omnislip.gap.inference import (
+    Check,
     Data,
     Fit,
     check_columns,
@@ -24,10 +26,22 @@ from omnislip.gap.inference import (
     inflation_of,
     left_by_shapes,
 )
-from omnislip.gap.machine import CURVE, Candidate, Machine
-from omnislip.gap.noise import track_all
+from omnislip.gap.machine import CURVE, Candidate
+from omnislip.gap.noise import DISTURBANCES, SHAFT, track_all
 from omnislip.gap.recordings import Run
 from omnislip.gap.side_by_side import side_by_side
+from omnislip.gap.terms import (
+    BEATING,
+    SWINGING,
+    Term,
+    beat_terms,
+    dictionary,
+    nameless,
+    patterns,
+    swing_terms,
+    turned,
+    wave_term,
+)
 
 Array = npt.NDArray[np.float64]
 
@@ -40,22 +54,15 @@ are right in place perhaps, but wrong in shape."""
 IN_ITS_PLACE = 0.5
 """Share of an effect's gain that a term must take over to stand in its place."""
 MOST_SHAPES = 5
-SHAFT_ORDERS = range(2, 13)
-SLOW_RAD_S = 2.0
-GYRO, CAMERA = 4, (5, 6)
-
-
-@dataclass(frozen=True)
-class Term:
-    """One entry of the dictionary: which states it pushes, and how it depends on state and time."""
-
-    equation: str
-    dependence: str
-    states: tuple[int, ...]
-    shape: Callable[[Array, Array, Array, int], Array]
-    """(state (rows, n), command (rows, motors), time (rows,), pushed state) -> (rows,)"""
-    outputs: tuple[int, ...] = ()
-    """Sensors that show the term as it is, instead of states that it pushes."""
+SWINGS_HZ, SWING_DAMPING = 0.7 * 4.0 ** (np.arange(10) / 4.0), 0.1
+NEARER, NEARER_DAMPINGS = 2.0 ** np.array([-0.25, -0.125, 0.0, 0.125, 0.25]), (0.03, 0.1, 0.3)
+"""0.7 to 16 Hz by a factor of 1.4; factors from the best of them, and damping ratios."""
+MORE, MORE_P_VALUE = 1.1, 1e-3
+"""Factor by which more sizes have to gain more, and chance that they do."""
+BEATS_HZ = np.geomspace(0.3, 25.0, 200)
+WAVES_1_M, WAVES_STEP_1_M, PHASES = (3.0, 26.0), 1.0, 4
+"""Wave numbers of a floor (waves of 2 m to 24 cm), and from one to the next (in 3 m a third of a
+period)."""
 
 
 @dataclass(frozen=True)
@@ -72,6 +79,9 @@ class Leftover:
     p_value: float
     validation_gain: float
     covered: float
+    terms: tuple[Term, ...] = field(default=(), repr=False, compare=False)
+    sizes: Array = field(default_factory=lambda: np.zeros(0), repr=False, compare=False)
+    """(terms,), or (runs, terms) where each run has its own."""
 
 
 @dataclass(frozen=True)
@@ -83,49 +93,8 @@ class Shape:
     gain: float
 
 
-def dictionary(machine: Machine) -> list[Term]:
-    """Return the terms that are tried for a kind of machine."""
-    if machine.kind == "odometry":
-        return [
-            Term(f"odometry/{part}", name, (0, 1, 2), _of_odometry(machine, index, shape))
-            for index, part in enumerate(("forward", "lateral", "turning"))
-            for name, shape in MOTION_SHAPES.items()
-        ]
-    if machine.kind == "axis":
-        return [Term("axis/force", name, (0,), shape) for name, shape in SHAFT_SHAPES.items()]
-    rubbing = _rubbing_shapes(float(machine.model.values["motor.gear_ratio"]))
-    terms = [
-        Term(equation, name, states, shape)
-        for equation, states in {
-            "every wheel/torque": (0, 1, 2, 3),
-            **{f"wheel/{i + 1}/torque": (i,) for i in range(4)},
-        }.items()
-        for name, shape in {**SHAFT_SHAPES, **ANGLE_SHAPES, **rubbing}.items()
-    ]
-    terms += [Term("gyro", name, (), shape, (GYRO,)) for name, shape in GYRO_SHAPES.items()]
-    terms += [Term("camera", name, (), shape, CAMERA) for name, shape in CAMERA_SHAPES.items()]
-    terms += [
-        Term(equation, name, (), shape, outputs)
-        for equation, outputs in {
-            "every encoder/angle": (0, 1, 2, 3),
-            **{f"encoder/{i + 1}/angle": (i,) for i in range(4)},
-        }.items()
-        for name, shape in {**ANGLE_SHAPES, **TWICE_SHAPES}.items()
-    ]
-    terms += [Term("body/moment", name, (10,), shape) for name, shape in YAW_SHAPES.items()]
-    for axis, state in (("x", 8), ("y", 9)):
-        terms += [
-            Term(f"body/force_{axis}", name, (state,), shape) for name, shape in BODY_SHAPES.items()
-        ]
-        terms += [
-            Term(f"world/force_{axis}", name, (8, 9), _in_world(axis, shape))
-            for name, shape in WORLD_SHAPES.items()
-        ]
-    return terms
-
-
 def find_leftover(data: Data, fitted: Fit, free: Array) -> list[Leftover]:
-    """Return the terms that pass, strongest first; `free` are the responses to them."""
+    """Return the terms that pass, strongest first; `free` are the responses to the dictionary."""
     return _passing(data, fitted, dictionary(data.machine), free)
 
 
@@ -135,33 +104,10 @@ def find_shapes(data: Data, refit: Fit) -> list[Leftover]:
     To see, not to judge: terms that tell parity, order of the shaft, frame and null space apart.
     """
     best: dict[str, Leftover] = {}
-    terms = [*dictionary(data.machine), *_patterns(data.machine)]
+    terms = [*dictionary(data.machine), *patterns(data.machine)]
     for found in _passing(data, refit, terms, responses(data, refit, terms)):
         best.setdefault(found.equation, found)
     return list(best.values())[:MOST_SHAPES]
-
-
-def _patterns(machine: Machine) -> list[Term]:
-    """Return terms that no verdict needs: higher orders of the shaft, wheels against each other."""
-    if machine.kind != "robot":
-        return []
-    orders = [
-        Term(f"wheel/{i + 1}/torque", f"{name} of {order} times the shaft angle", (i,), shape)
-        for i in range(4)
-        for order in SHAFT_ORDERS
-        for name, shape in _order_shapes(order).items()
-    ]
-    return orders + [
-        Term("null space of the wheels/torque", name, (0, 1, 2, 3), shape)
-        for name, shape in NULL_SPACE_SHAPES.items()
-    ]
-
-
-def _order_shapes(order: int) -> dict[str, Callable[..., Array]]:
-    return {
-        "sine": lambda x, d, t, i: np.sin(order * x[:, 4 + i]),
-        "cosine": lambda x, d, t, i: np.cos(order * x[:, 4 + i]),
-    }
 
 
 def shapes_instead(
@@ -194,13 +140,8 @@ def _gains_of_shapes(
     fitted: Fit, free: Array, terms: Sequence[Term]
 ) -> dict[tuple[str, str], float]:
     """Gain of each term alone, and of each of the body along both of its axes."""
-    places = {(term.equation, term.dependence): [k] for k, term in enumerate(terms)}
-    for (equation, dependence), [k] in list(places.items()):
-        if equation == "body/force_x":
-            across = places["body/force_y", dependence]
-            places["body/force", dependence] = [k, *across]
     gains = {}
-    for name, own in places.items():
+    for name, own in _groups(terms).items():
         column = free[:, own]
         slope = column.T @ fitted.residual
         gains[name] = float(slope @ np.linalg.pinv(column.T @ column, hermitian=True) @ slope)
@@ -216,33 +157,187 @@ def responses(data: Data, fitted: Fit, terms: Sequence[Term]) -> Array:
 
 
 def _passing(data: Data, fitted: Fit, terms: Sequence[Term], free: Array) -> list[Leftover]:
-    found = []
-    for index, term in enumerate(terms):
-        column = free[:, index : index + 1]
-        information = column.T @ column
-        if information[0, 0] <= 0:
-            continue
-        size = -float(column[:, 0] @ fitted.residual) / float(information[0, 0])
-        gain = size**2 * float(information[0, 0])
-        after = fitted.residual + size * column[:, 0]
-        inflation = inflation_of(data, column, after, information)
-        p_value = float(chi2.sf(gain / inflation, 1)) * len(terms)
-        if p_value >= P_VALUE:
-            continue
-        check = check_columns(data, fitted.residual, column)
-        if check.helps:
-            found.append(
-                Leftover(
-                    term.equation,
-                    term.dependence,
-                    gain,
-                    inflation,
-                    min(p_value, 1.0),
-                    check.gain,
-                    left_by_shapes(data, fitted, column[:, 0], fitted.residual, _covered_share),
-                )
-            )
-    return sorted(found, key=lambda leftover: -leftover.gain)
+    """Return the terms that pass, alone or jointly, and others that are looked for, best first.
+
+    `free` (m, terms) are the responses to the terms. A wave over an angle is tried with a phase of
+    every run's own, too.
+    """
+    choices = 0
+    if data.machine.kind == "robot":
+        looked_for, choices = _looked_for(data, fitted)
+        more = [*nameless(data.machine), *looked_for]
+        swings, swinging = _swings_looked_for(data, fitted)
+        terms = [*terms, *more, *swings]
+        free = np.hstack([free, responses(data, fitted, more), swinging])
+    groups = _groups(terms)
+    tried = 2 * len(groups) + choices
+    judge = _Judge(data, fitted, tried)
+    gains, found = dict[tuple[str, str], float](), []
+    for name, own in groups.items():
+        members, columns = tuple(terms[k] for k in own), free[:, own]
+        several = len(own) > 1
+        alone = max(gains[term.name] for term in members) if several else 0.0
+        gains[name], one = judge.alike(name, members, columns, alone)
+        found.append(one)
+        if several and members[0].turning:
+            found.append(judge.of_each_run(name, members, columns, gains[name]))
+    return sorted(filter(None, found), key=lambda leftover: -leftover.gain)
+
+
+def _sizes(columns: Array, residual: Array) -> Array:
+    """Sizes (k,) of what explains most of a residual (m,), by least squares."""
+    return -np.linalg.pinv(columns.T @ columns, hermitian=True) @ (columns.T @ residual)
+
+
+@dataclass(frozen=True)
+class _Judge:
+    """Decides whether terms are missing, among so many that are tried."""
+
+    data: Data
+    fitted: Fit
+    tried: int
+
+    def alike(
+        self, name: tuple[str, str], terms: tuple[Term, ...], columns: Array, simpler: float
+    ) -> tuple[float, Leftover | None]:
+        """Return the gain of terms of the same sizes in all runs, and the leftover if they pass."""
+        residual = self.fitted.residual
+        sizes = _sizes(columns, residual)
+        change = columns @ sizes
+        check = partial(check_columns, self.data, residual, columns)
+        found = self._passing(name, change, len(sizes), simpler, 1, check)
+        return float(change @ change), replace(found, terms=terms, sizes=sizes) if found else None
+
+    def of_each_run(
+        self, name: tuple[str, str], terms: tuple[Term, ...], columns: Array, simpler: float
+    ) -> Leftover | None:
+        """Return terms whose sizes are of each run, if they pass."""
+        parts = list(
+            zip(self.data.per_run(columns), self.data.per_run(self.fitted.residual), strict=True)
+        )
+        sizes = np.array([_sizes(own, left) for own, left in parts])
+        change = np.concatenate([own @ size for (own, _), size in zip(parts, sizes, strict=True)])
+        own_name = (name[0], f"{name[1]}, with a phase of each run's own")
+        spared = sizes.size - len(terms)
+        check = partial(_check_halves, parts)
+        found = self._passing(own_name, change, sizes.size, simpler, spared, check)
+        return replace(found, terms=terms, sizes=sizes) if found else None
+
+    def _passing(
+        self,
+        name: tuple[str, str],
+        change: Array,
+        freedom: int,
+        simpler: float,
+        spared: int,
+        check: Callable[[], Check],
+    ) -> Leftover | None:
+        """Return a change of the residuals (m,), of so many sizes, as a leftover, if it passes.
+
+        `simpler` is the gain without the last `spared` of these.
+        """
+        data, residual, gain = self.data, self.fitted.residual, float(change @ change)
+        if not gain > 0 or gain < MORE * simpler:
+            return None
+        inflation = inflation_of(data, change[:, None], residual + change, np.array([[gain]]))
+        p_value = float(chi2.sf(gain / inflation, freedom)) * self.tried
+        if p_value >= P_VALUE or chi2.sf((gain - simpler) / inflation, spared) > MORE_P_VALUE:
+            return None
+        checked = check()
+        if not checked.helps:
+            return None
+        covered = left_by_shapes(data, self.fitted, change, residual, _covered_share)
+        return Leftover(*name, gain, inflation, min(p_value, 1.0), checked.gain, covered)
+
+
+def _check_halves(runs: Sequence[tuple[Array, Array]]) -> Check:
+    """Judge columns (rows, k) beside the residual of each run: one half by sizes of the other."""
+    judged = []
+    for both in runs:
+        halves = list(zip(*(np.array_split(part, 2) for part in both), strict=True))
+        for (own, left), (other, others_left) in (halves, halves[::-1]):
+            sizes = _sizes(other, others_left)
+            inverse = np.linalg.pinv(other.T @ other, hermitian=True)
+            stake = float(np.sum((own @ sizes) ** 2))
+            unsure = float(np.trace(inverse @ own.T @ own))
+            judged.append((-2.0 * (own @ sizes) @ left - stake, stake, unsure))
+    return Check(*np.array(judged).T)
+
+
+def _groups(terms: Sequence[Term]) -> dict[tuple[str, str], list[int]]:
+    """Return the numbers of what is tried together: each alone, what goes jointly, both axes."""
+    groups = {term.name: [k] for k, term in enumerate(terms)}
+    for k, term in enumerate(terms):
+        if term.jointly:
+            groups.setdefault((term.equation, term.jointly), []).append(k)
+        if term.equation == "body/force_x":
+            groups["body/force", term.dependence] = [k, *groups["body/force_y", term.dependence]]
+    return groups
+
+
+def _swings_looked_for(data: Data, fitted: Fit) -> tuple[list[Term], Array]:
+    """Return the load that swings and explains most, as a force and as a moment: terms, responses.
+
+    The best of all frequencies, then of those and of dampings beside it.
+    """
+    offered = [(kind, hz, SWING_DAMPING) for kind in SWINGING for hz in SWINGS_HZ]
+    for nearer in (True, False):
+        terms = [term for one in offered for term in swing_terms(*one)]
+        free = responses(data, fitted, terms)
+        pairs = np.split(free, len(offered), axis=1)
+        gains = [float(np.sum((pair @ _sizes(pair, fitted.residual)) ** 2)) for pair in pairs]
+        best = [
+            max((k for k, one in enumerate(offered) if one[0] == kind), key=gains.__getitem__)
+            for kind in SWINGING
+        ]
+        if nearer:
+            offered = [
+                (offered[k][0], factor * offered[k][1], damping)
+                for k in best
+                for factor in NEARER
+                for damping in NEARER_DAMPINGS
+            ]
+    own = [j for k in best for j in (2 * k, 2 * k + 1)]
+    return [terms[j] for j in own], free[:, own]
+
+
+def _looked_for(data: Data, fitted: Fit) -> tuple[list[Term], int]:
+    """Return waves that the filter's disturbances hold most of, and among how many they are found.
+
+    A force f(r) = cos(k r + p) in place gives the sum over rows of f exp(-i k r) the phase p. Of
+    beats in time every run has its own phase, and adds its power.
+    """
+    values = fitted.hypothesis.flat(data.believed)
+    tracks = track_all(data.machine, data.runs, values, data.noise)
+    numbers = _wave_numbers_1_m()
+    in_place = np.zeros((2, len(numbers)), np.complex128)
+    in_time = np.zeros((len(BEATING), len(BEATS_HZ)))
+    for run, track in zip(data.runs, tracks, strict=True):
+        state = track.state.reshape(len(run.t_s), -1)
+        seen = state[:, DISTURBANCES]
+        force = turned(state[:, 13], seen[:, 4:6])
+        force -= force.mean(axis=0)
+        in_place += (np.exp(-1j * (numbers @ state[:, 11:13].T)) @ force).T
+        by_command = np.sum(seen[:, SHAFT] * run.command, axis=1)
+        beats = np.exp(-2j * np.pi * np.outer(BEATS_HZ, run.time_s))
+        beating = np.column_stack([force, by_command - by_command.mean()])
+        in_time += np.abs(beats @ beating).T ** 2
+    terms = []
+    for axis, own in zip("xy", in_place, strict=True):
+        best = int(np.argmax(np.abs(own)))
+        terms.append(wave_term(axis, numbers[best], float(np.angle(own[best]))))
+    for equation, power in zip(BEATING, in_time, strict=True):
+        terms += beat_terms(equation, float(BEATS_HZ[np.argmax(power)]))
+    return terms, in_place.size * PHASES + in_time.size
+
+
+def _wave_numbers_1_m() -> Array:
+    """Return wave vectors (waves, 2) of all directions; the opposite one is the same wave."""
+    least, most = WAVES_1_M
+    along = np.arange(-most, most + WAVES_STEP_1_M, WAVES_STEP_1_M)
+    numbers = np.stack(np.meshgrid(along[along >= 0], along), axis=-1).reshape(-1, 2)
+    size = np.hypot(*numbers.T)
+    return numbers[(size >= least) & (size <= most)]
 
 
 def _covered_share(effect: Candidate) -> float:
@@ -261,184 +356,3 @@ def _pushes(state: Array, run: Run, terms: Sequence[Term]) -> tuple[Array, Array
             shown[:, output, index] = term.shape(state, run.command, time_s, output)
     shown[np.isnan(run.outputs)] = 0.0
     return push, shown
-
-
-def _shaft(function: Callable[[Array, Array], Array]) -> Callable[..., Array]:
-    return lambda x, d, t, i: function(x[:, i], d[:, i])
-
-
-def _along(time_s: Array, values: Array) -> Array:
-    """Rate of change, smoothed over some rows."""
-    kernel = np.ones(9) / 9
-    return np.convolve(np.gradient(values, time_s), kernel, mode="same")
-
-
-def _slows(time_s: Array, speed: Array) -> Array:
-    """1 where a speed falls, 0 elsewhere."""
-    return (_along(time_s, speed**2) < 0.0).astype(np.float64)
-
-
-SHAFT_SHAPES: dict[str, Callable[..., Array]] = {
-    "constant": _shaft(lambda w, d: np.ones_like(w)),
-    "direction of rotation": _shaft(lambda w, d: np.tanh(w / SLOW_RAD_S)),
-    "speed": _shaft(lambda w, d: w),
-    "speed squared, against it": _shaft(lambda w, d: w * np.abs(w)),
-    "speed to the fifth": _shaft(lambda w, d: (w / 100.0) ** 5),
-    "speed either way": _shaft(lambda w, d: np.abs(w)),
-    "command": _shaft(lambda w, d: d),
-    "command cubed": _shaft(lambda w, d: d**3),
-    "sign of the command": _shaft(lambda w, d: np.sign(d)),
-    "size of the command, against rotation": _shaft(
-        lambda w, d: np.abs(d) * np.tanh(w / SLOW_RAD_S)
-    ),
-    "direction of rotation while it slows": lambda x, d, t, i: (
-        np.tanh(x[:, i] / SLOW_RAD_S) * _slows(t, x[:, i])
-    ),
-    "time and command": lambda x, d, t, i: t * d[:, i],
-    "time and speed": lambda x, d, t, i: t * x[:, i],
-}
-
-NULL_SPACE = np.array([1.0, -1.0, 1.0, -1.0])
-"""Speeds of the wheels that move no body (model: V1 - V2 + V3 - V4 = 0)."""
-NULL_SPACE_SHAPES: dict[str, Callable[..., Array]] = {
-    "constant": lambda x, d, t, i: np.full(len(x), NULL_SPACE[i]),
-    "wheels that turn against each other": lambda x, d, t, i: (
-        NULL_SPACE[i] * (x[:, :4] @ NULL_SPACE)
-    ),
-    "commands against each other": lambda x, d, t, i: NULL_SPACE[i] * (d @ NULL_SPACE),
-}
-
-ANGLE_SHAPES: dict[str, Callable[..., Array]] = {
-    "sine of the shaft angle": lambda x, d, t, i: np.sin(x[:, 4 + i]),
-    "cosine of the shaft angle": lambda x, d, t, i: np.cos(x[:, 4 + i]),
-}
-
-
-TWICE_SHAPES = {
-    f"{name} of twice the shaft angle": shape for name, shape in _order_shapes(2).items()
-}
-
-
-def _rubbing_shapes(gear: float) -> dict[str, Callable[..., Array]]:
-    """Friction that changes once per turn of the wheel."""
-    return {
-        f"{name} of the wheel angle, against rotation": lambda x, d, t, i, wave=wave: (
-            wave(x[:, 4 + i] / gear) * np.tanh(x[:, i] / SLOW_RAD_S)
-        )
-        for name, wave in (("sine", np.sin), ("cosine", np.cos))
-    }
-
-
-GYRO_SHAPES: dict[str, Callable[..., Array]] = {
-    "acceleration along x": lambda x, d, t, i: _along(t, x[:, 8]) - x[:, 10] * x[:, 9],
-    "acceleration along y": lambda x, d, t, i: _along(t, x[:, 9]) + x[:, 10] * x[:, 8],
-    "speed along x": lambda x, d, t, i: x[:, 8],
-    "speed along y": lambda x, d, t, i: x[:, 9],
-    "yaw rate squared": lambda x, d, t, i: x[:, 10] * np.abs(x[:, 10]),
-    "time": lambda x, d, t, i: t,
-}
-
-CAMERA_SHAPES: dict[str, Callable[..., Array]] = {
-    "distance from the middle": lambda x, d, t, i: (
-        x[:, 6 + i] * (x[:, 11] ** 2 + x[:, 12] ** 2)  # sensors 5 and 6 show states 11 and 12
-    ),
-    "place x": lambda x, d, t, i: x[:, 6 + i] * x[:, 11],
-    "place y": lambda x, d, t, i: x[:, 6 + i] * x[:, 12],
-    "axis": lambda x, d, t, i: x[:, 6 + i] * (1.0 if i == 5 else -1.0),
-    "heading, as of a marker ahead of the centre": lambda x, d, t, i: np.cos(
-        x[:, 13] - (i == 6) * np.pi / 2
-    ),
-    "heading, as of a marker beside the centre": lambda x, d, t, i: np.cos(
-        x[:, 13] - (i == 6) * np.pi / 2 + np.pi / 2
-    ),
-}
-"""What a camera shows besides. In proportion to the place: a lens that bends, a camera that looks
-askew, axes of two scales. With the heading: a marker that is not at the robot's centre."""
-
-YAW_SHAPES: dict[str, Callable[..., Array]] = {
-    "constant": lambda x, d, t, i: np.ones(len(x)),
-    "direction of turning": lambda x, d, t, i: np.tanh(x[:, 10] / 0.05),
-    "yaw rate": lambda x, d, t, i: x[:, 10],
-    "yaw rate squared, against it": lambda x, d, t, i: x[:, 10] * np.abs(x[:, 10]),
-    "speed along x": lambda x, d, t, i: x[:, 8],
-    "speed along y": lambda x, d, t, i: x[:, 9],
-    "place x": lambda x, d, t, i: x[:, 11],
-    "place y": lambda x, d, t, i: x[:, 12],
-    "time": lambda x, d, t, i: t,
-}
-
-BODY_SHAPES: dict[str, Callable[..., Array]] = {
-    "constant": lambda x, d, t, i: np.ones(len(x)),
-    "own speed": lambda x, d, t, i: x[:, i],
-    "own speed squared, against it": lambda x, d, t, i: x[:, i] * np.abs(x[:, i]),
-    "own speed cubed": lambda x, d, t, i: x[:, i] ** 3,
-    "own speed while it slows": lambda x, d, t, i: x[:, i] * _slows(t, x[:, i]),
-    "speed across": lambda x, d, t, i: x[:, 17 - i],
-    "speed along and across": lambda x, d, t, i: x[:, 8] * x[:, 9],
-    "yaw rate": lambda x, d, t, i: x[:, 10],
-    "yaw rate and speed across": lambda x, d, t, i: x[:, 10] * x[:, 17 - i],
-    "time and speed": lambda x, d, t, i: t * x[:, i],
-}
-
-WORLD_SHAPES: dict[str, Callable[[Array, Array], Array]] = {
-    "constant": lambda x, t: np.ones(len(x)),
-    "place x": lambda x, t: x[:, 11],
-    "place y": lambda x, t: x[:, 12],
-    "wave along x": lambda x, t: np.sin(6.0 * x[:, 11]),
-    "wave along y": lambda x, t: np.sin(6.0 * x[:, 12]),
-    "time": lambda x, t: t,
-}
-
-
-def _in_world(axis: str, shape: Callable[[Array, Array], Array]) -> Callable[..., Array]:
-    """A force along a world axis, turned into the body frame."""
-
-    def pushed(x: Array, d: Array, t: Array, state: int) -> Array:
-        heading = x[:, 13] if axis == "x" else x[:, 13] - np.pi / 2
-        part = np.cos(heading) if state == 8 else -np.sin(heading)
-        return shape(x, t) * part
-
-    return pushed
-
-
-MOTION_SHAPES: dict[str, Callable[[Array, Array], Array]] = {
-    "constant": lambda v, t: np.ones(len(v)),
-    "speed along": lambda v, t: v[:, 0],
-    "speed across": lambda v, t: v[:, 1],
-    "turning": lambda v, t: v[:, 2],
-    "size of the speed along": lambda v, t: np.abs(v[:, 0]),
-    "size of the speed across": lambda v, t: np.abs(v[:, 1]),
-    "size of the turning": lambda v, t: np.abs(v[:, 2]),
-    "turning and speed along": lambda v, t: v[:, 2] * v[:, 0],
-    "turning and speed across": lambda v, t: v[:, 2] * v[:, 1],
-    "direction of the speed along": lambda v, t: np.tanh(v[:, 0] / 0.02),
-    "direction of the speed across": lambda v, t: np.tanh(v[:, 1] / 0.02),
-    "direction of turning": lambda v, t: np.tanh(v[:, 2] / 0.05),
-    "time and speed along": lambda v, t: t * v[:, 0],
-    "time and speed across": lambda v, t: t * v[:, 1],
-    "time and turning": lambda v, t: t * v[:, 2],
-}
-
-
-def _of_odometry(
-    machine: Machine, part: int, shape: Callable[[Array, Array], Array]
-) -> Callable[..., Array]:
-    """A velocity of the body (forward, lateral, turning) beside the one of the encoders.
-
-    `shape` sees that one (rows, 3), as the believed geometry has it.
-    """
-    wheels, engine = machine.wheels, machine.engine
-    unit = np.zeros((wheels, engine.motors))
-    unit[:, :wheels] = np.eye(wheels)
-    per_rate = engine.derivatives(machine.believed, np.zeros((wheels, 3)), unit)
-
-    def pushed(x: Array, u: Array, t: Array, state: int) -> Array:
-        size = shape(u @ per_rate, t)
-        if part == 2 or state == 2:
-            return size if part == state else np.zeros(len(x))
-        heading = x[:, 2]
-        along = (np.cos(heading), np.sin(heading))
-        across = (-np.sin(heading), np.cos(heading))
-        return size * (along, across)[part][state]
-
-    return pushed

@@ -411,6 +411,13 @@ def stall_current_a(machine: Machine) -> float:
     return machine.model.values["motor.supply_v"] / machine.model.values["motor.resistance_ohm"]
 
 
+def no_load_speed_rad_s(machine: Machine) -> float:
+    """Return how fast a shaft turns at full duty that nothing brakes."""
+    return (
+        machine.model.values["motor.supply_v"] / machine.model.values["motor.torque_constant_nm_a"]
+    )
+
+
 def stall_acceleration_rad_s2(machine: Machine) -> float:
     """Return how fast a motor at rest that drives nothing starts at full duty."""
     values = machine.model.values

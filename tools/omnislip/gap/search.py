@@ -48,7 +48,6 @@ from omnislip.gap.inference import (
 from omnislip.gap.leftover import (
     Leftover,
     Shape,
-    dictionary,
     find_leftover,
     responses,
     shapes_instead,
@@ -58,6 +57,7 @@ from omnislip.gap.metrics import improvement, replay_all
 from omnislip.gap.noise import Noise, RunawayError, some_runs, track_all, tune_noise
 from omnislip.gap.recordings import Run
 from omnislip.gap.side_by_side import side_by_side
+from omnislip.gap.terms import dictionary
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[str], None]

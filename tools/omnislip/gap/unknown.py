@@ -13,7 +13,7 @@ with the smallest BIC.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 
 import numpy as np
@@ -21,10 +21,12 @@ import numpy.typing as npt
 from scipy.stats import chi2
 
 from omnislip.gap.inference import Data, Fit, check_columns, free_of_fitted, inflation_of
+from omnislip.gap.leftover import Leftover
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import DISTURBANCES, track_all
 from omnislip.gap.recordings import Run
 from omnislip.gap.search import Outcome
+from omnislip.gap.terms import Quantity, swings
 
 Array = npt.NDArray[np.float64]
 
@@ -39,23 +41,10 @@ SLOW_SHARE, SLOW_RAD_S = 0.02, 2.0
 SHAFT_TORQUE = "torque"
 P_VALUE = 1e-6
 """Over all pairs of equation and quantity."""
+MOST_TERMS = 3
+SWINGS_SHOWN, SWING_POINTS = 3.0, 121
 PAIR_PENALTY = 3.0
 """How much more than by BIC a second shape has to explain."""
-
-
-@dataclass(frozen=True)
-class Quantity:
-    """Something that a missing force may depend on; `period` where it comes back to itself."""
-
-    name: str
-    unit: str
-    of: Callable[[Array, Array, Array, int], Array]
-    """(state (rows, n), command (rows, motors), time (rows,), motor) -> (rows,)"""
-    period: float | None = None
-    frequency_hz: float | None = None
-    """Of a wave: the quantity is then what the wave is in proportion to."""
-    phases_rad: Array | None = None
-    """Of a wave: its phase (runs,) when the log began: no beat waits for the recorder."""
 
 
 @dataclass(frozen=True)
@@ -116,10 +105,15 @@ class Curve:
 def describe_unknown(outcome: Outcome) -> Unknown | None:
     """Return what explains most, or None if nothing helps runs that were not fitted."""
     values = outcome.final.hypothesis.flat(outcome.data.believed)
-    study = _Study(outcome.data, outcome.final, values)
-    tried = list(study.all_pairs(equations(outcome.data.machine, values)))
+    machine = outcome.data.machine
+    study, found = _Study(outcome.data, outcome.final, values), equations(machine, values)
+    tried = [*study.all_pairs(found), *study.of_terms(found, outcome.leftover[:MOST_TERMS])]
     passed = [one for one in tried if one.p_value * len(tried) < P_VALUE and one.helps]
     best = max(passed, key=lambda one: one.validation_gain, default=None)
+    least = best.validation_gain if best else 0.0
+    swings = [one for one in outcome.leftover if one.terms[0].swing and one.validation_gain > least]
+    if swings:
+        return _swinging(max(swings, key=lambda one: one.validation_gain), machine, values)
     return _put_together(best) if best is not None else None
 
 
@@ -139,6 +133,19 @@ class _Study:
             waves = self._waves(members)
             for quantity in (*members[0].quantities, *waves):
                 yield from self._pair(members, quantity)
+
+    def of_terms(self, found: Sequence[Equation], leftover: Sequence[Leftover]) -> Iterator[Curve]:
+        """What the terms depend on that pass, each in its own equation."""
+        for one in leftover:
+            quantity = one.terms[0].over
+            members = [e for e in found if one.equation in (e.name, _every(e.name))]
+            if quantity is None or not members:
+                continue
+            if one.sizes.ndim > 1:
+                quantity = replace(quantity, phases_rad=np.arctan2(*one.sizes[:, ::-1].T))
+            elif quantity.name in {own.name for own in members[0].quantities}:
+                continue
+            yield from self._pair(members, quantity)
 
     def _pair(self, members: Sequence[Equation], quantity: Quantity) -> Iterator[Curve]:
         knots = self._knots(members, quantity)
@@ -261,7 +268,9 @@ def _power(spectra: npt.NDArray[np.complex128]) -> Array:
 
 
 def _every(name: str) -> str:
-    """Name of all wheels together: 'wheel/1/torque' -> 'every wheel/torque'."""
+    """Name of all wheels together: 'wheel/1/torque' -> 'every wheel/torque'; others as they are."""
+    if name.count("/") < 2:
+        return name
     first, _, last = name.split("/")
     return f"every {first}/{last}"
 
@@ -276,7 +285,7 @@ def _hats(
         return np.stack([q * np.sin(angle), q * np.cos(angle)], axis=1)
     count = len(knots)
     if quantity.period is not None:
-        place = np.mod(q, quantity.period) / quantity.period * count
+        place = np.mod(q / quantity.period + phase_rad / (2 * np.pi), 1.0) * count
     else:
         place = np.clip((q - knots[0]) / (knots[-1] - knots[0]), 0.0, 1.0) * (count - 1)
     distance = np.abs(place[:, None] - np.arange(count))
@@ -471,6 +480,41 @@ def _odometry_equations(machine: Machine) -> list[Equation]:
     ]
 
 
+def _swinging(one: Leftover, machine: Machine, values: Array) -> Unknown:
+    """Curve and formula of a load that swings: what a stop from 1 m/s, or 1 rad/s, sets going."""
+    swing_hz, damping = one.terms[0].swing
+    mass, inertia, _ = machine.inertias(values)
+    moves = one.equation == "world/force"
+    symbol, unit, speed, own = (
+        ("force", "N", "m/s", mass) if moves else ("moment", "N m", "rad/s", inertia)
+    )
+    x = np.linspace(0.0, SWINGS_SHOWN / swing_hz, SWING_POINTS)
+    stop = np.where(x > 0, -1.0, 0.0)
+    parts = [term.dependence.split()[0] for term in one.terms]
+    sizes = dict(zip(parts, own * one.sizes, strict=True))
+    y = sum(size * swings(x, stop, swing_hz, damping, part) for part, size in sizes.items())
+    w = 2 * np.pi * swing_hz
+    formula = (
+        f"{symbol} / ({unit}) = {sizes.get('place', 0.0) * w**2:+.3g} y "
+        f"{sizes.get('speed', 0.0) * w:+.3g} y', "
+        f"y'' + {2 * damping * w:.3g} y' + {w**2:.3g} y = -acceleration"
+    )
+    return Unknown(
+        one.equation,
+        one.dependence,
+        f"time after a stop from 1 {speed} (s)",
+        f"{symbol} ({unit})",
+        x,
+        y,
+        np.abs(y) * np.sqrt(one.inflation / one.gain),
+        one.gain,
+        one.validation_gain,
+        formula,
+        1.0,
+        y,
+    )
+
+
 def _put_together(best: Curve) -> Unknown:
     """Curve, words and formula of what was found."""
     equation, quantity = best.equation, best.quantity
@@ -547,7 +591,10 @@ PERIODIC_SHAPES: dict[str, Callable[[Array], Array]] = {
 def propose(best: Curve, left: str) -> tuple[str, float, Array]:
     """Return a formula for a curve, the share of its weighted squares it explains, its values."""
     periodic = best.quantity.period is not None
-    largest = 1.0 if periodic else float(f"{np.max(np.abs(best.knots)):.2g}")
+    if best.quantity.period is not None:
+        largest = float(f"{best.quantity.period / (2 * np.pi):.3g}")
+    else:
+        largest = float(f"{np.max(np.abs(best.knots)):.2g}")
     shapes = PERIODIC_SHAPES if periodic else SHAPES
     table = {name: shape(best.knots / largest) for name, shape in shapes.items()}
     weight = np.linalg.pinv(best.covariance, rcond=1e-9, hermitian=True)
@@ -564,7 +611,11 @@ def propose(best: Curve, left: str) -> tuple[str, float, Array]:
         if chosen is None or cost < chosen[0]:
             chosen = (float(cost), names, amounts)
     _, names, amounts = chosen
-    unit = "1" if periodic else f"({largest:g} {best.quantity.unit})".replace(" 1)", ")")
+    unit = (
+        "1"
+        if largest == 1.0 and periodic
+        else f"({largest:g} {best.quantity.unit})".replace(" 1)", ")")
+    )
     over = "" if unit == "1" else f" / {unit}"
     parts = [
         f"{amount:+.3g}" + ("" if n == "1" else f" {n}")
@@ -576,4 +627,5 @@ def propose(best: Curve, left: str) -> tuple[str, float, Array]:
     formula = f"{left} = " + " ".join(parts)
     if names != ("1",):
         formula += f", u = {best.quantity.name}{over}"
+        formula += " + phase of the run" if best.quantity.phases_rad is not None else ""
     return formula, share, fitted

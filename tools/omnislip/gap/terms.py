@@ -1,0 +1,499 @@
+"""The dictionary of terms that a model may lack: where each pushes and on what it depends.
+
+A term is a force, moment or torque on some states, or what sensors show besides, as a function of
+state, command and time (leftover.py judges them). Most are laws that robots have and that no effect
+of the catalogue is; the others are the shapes that effects have, for what is nearly one of them.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+import numpy.typing as npt
+from scipy.signal import bilinear, lfilter
+
+from omnislip.gap.machine import Machine
+from omnislip.gap.noise import no_load_speed_rad_s
+
+Array = npt.NDArray[np.float64]
+
+SHAFT_ORDERS, WHEEL_ORDERS = range(2, 13), range(1, 7)
+SLOW_RAD_S, SMALL_SHARE = 2.0, 0.02
+GYRO, CAMERA = 4, (5, 6)
+SUPPLY_LAGS_S, WARM_S = (0.02, 0.2, 2.0), (0.5, 2.0, 8.0)
+EVERYWHERE = {"every wheel": (0, 1, 2, 3), **{f"wheel/{i + 1}": (i,) for i in range(4)}}
+SWINGING = ("world/force", "body/moment")
+BEATING = ("world/force_x", "world/force_y", "every wheel/torque")
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """Something that a missing force may depend on; `period` where it comes back to itself."""
+
+    name: str
+    unit: str
+    of: Callable[[Array, Array, Array, int], Array]
+    """(state (rows, n), command (rows, motors), time (rows,), motor) -> (rows,)"""
+    period: float | None = None
+    frequency_hz: float | None = None
+    """Of a wave: the quantity is then what the wave is in proportion to."""
+    phases_rad: Array | None = None
+    """Of a wave or an angle: its phase (runs,) where the log began: no beat waits for it."""
+
+
+@dataclass(frozen=True)
+class Term:
+    """One entry of the dictionary: which states it pushes, and how it depends on state and time."""
+
+    equation: str
+    dependence: str
+    states: tuple[int, ...]
+    shape: Callable[[Array, Array, Array, int], Array]
+    """(state (rows, n), command (rows, motors), time (rows,), pushed state) -> (rows,)"""
+    outputs: tuple[int, ...] = ()
+    """Sensors that show the term as it is, instead of states that it pushes."""
+    jointly: str = ""
+    """On what it depends together with others of its equation: two phases of a wave."""
+    turning: bool = False
+    """Whether that is an angle or time, which a log counts from where it began."""
+    over: Quantity | None = None
+    """What it is a wave over, or otherwise depends on."""
+    swing: tuple[float, float] | None = None
+    """Of a load that swings: its frequency in Hz and damping ratio."""
+
+    @property
+    def name(self) -> tuple[str, str]:
+        """Equation and dependence."""
+        return self.equation, self.dependence
+
+
+def dictionary(machine: Machine) -> list[Term]:
+    """Return the terms that are tried for a kind of machine."""
+    if machine.kind == "odometry":
+        return [
+            Term(f"odometry/{part}", name, (0, 1, 2), _of_odometry(machine, index, shape))
+            for index, part in enumerate(("forward", "lateral", "turning"))
+            for name, shape in MOTION_SHAPES.items()
+        ]
+    if machine.kind == "axis":
+        return [Term("axis/force", name, (0,), shape) for name, shape in SHAFT_SHAPES.items()]
+    turn = {"the wheel angle": 1.0 / float(machine.model.values["motor.gear_ratio"])}
+    terms = []
+    for where, wheels in EVERYWHERE.items():
+        terms += [
+            Term(f"{where}/torque", name, wheels, shape) for name, shape in SHAFT_SHAPES.items()
+        ]
+        terms += _angle_terms(f"{where}/torque", SHAFT_ANGLE, states=wheels)
+        terms += _angle_terms(f"{where}/friction", turn, wheels, per_unit=_against_rotation)
+        shown = where.replace("wheel", "encoder")
+        terms += _angle_terms(f"{shown}/angle", SHAFT_ANGLE | TWICE_SHAFT_ANGLE, outputs=wheels)
+    terms += [Term("gyro", name, (), shape, (GYRO,)) for name, shape in GYRO_SHAPES.items()]
+    terms += [Term("camera", name, (), shape, CAMERA) for name, shape in CAMERA_SHAPES.items()]
+    terms += [Term("body/moment", name, (10,), shape) for name, shape in YAW_SHAPES.items()]
+    for axis, state in (("x", 8), ("y", 9)):
+        terms += [
+            Term(f"body/force_{axis}", name, (state,), shape) for name, shape in BODY_SHAPES.items()
+        ]
+        terms += [
+            Term(f"world/force_{axis}", name, (8, 9), in_world(axis, shape))
+            for name, shape in WORLD_SHAPES.items()
+        ]
+    return terms
+
+
+def nameless(machine: Machine) -> list[Term]:
+    """Return further terms of a robot: what no effect of the catalogue comes near."""
+    angles = _wheel_angles(float(machine.model.values["motor.gear_ratio"]))
+    no_load_rad_s = no_load_speed_rad_s(machine)
+    of_motors = MOTOR_SHAPES | _current_shapes(no_load_rad_s)
+    terms = [
+        Term(f"{where}/torque", name, wheels, shape, over=Quantity(name, "1", shape))
+        for where, wheels in EVERYWHERE.items()
+        for name, shape in of_motors.items()
+    ]
+    for i in range(4):
+        terms += _angle_terms(f"wheel/{i + 1}/torque", angles, states=(i,))
+        terms += _angle_terms(f"encoder/{i + 1}/angle", angles, outputs=(i,))
+    return terms + [
+        Term("every wheel/torque", name, (0, 1, 2, 3), shape, over=Quantity(name, "1", shape))
+        for name, shape in _supply_shapes(no_load_rad_s).items()
+    ]
+
+
+def patterns(machine: Machine) -> list[Term]:
+    """Return terms that no verdict needs: higher orders of the shaft, wheels against each other."""
+    if machine.kind != "robot":
+        return []
+    many = {f"{order} times the shaft angle": float(order) for order in SHAFT_ORDERS}
+    orders = [
+        term for i in range(4) for term in _angle_terms(f"wheel/{i + 1}/torque", many, states=(i,))
+    ]
+    return orders + [
+        Term("null space of the wheels/torque", name, (0, 1, 2, 3), shape)
+        for name, shape in NULL_SPACE_SHAPES.items()
+    ]
+
+
+def turned(heading_rad: Array, vector: Array) -> Array:
+    """Turn vectors (rows, 2) by angles (rows,): by headings from body to world."""
+    cos, sin = np.cos(heading_rad), np.sin(heading_rad)
+    return np.stack(
+        [cos * vector[:, 0] - sin * vector[:, 1], sin * vector[:, 0] + cos * vector[:, 1]], axis=1
+    )
+
+
+def _shaft(function: Callable[[Array, Array], Array]) -> Callable[..., Array]:
+    return lambda x, d, t, i: function(x[:, i], d[:, i])
+
+
+def _along(time_s: Array, values: Array) -> Array:
+    """Rate of change, smoothed over some rows."""
+    kernel = np.ones(9) / 9
+    return np.convolve(np.gradient(values, time_s), kernel, mode="same")
+
+
+def _slows(time_s: Array, speed: Array) -> Array:
+    """1 where a speed falls, 0 elsewhere."""
+    return (_along(time_s, speed**2) < 0.0).astype(np.float64)
+
+
+SHAFT_SHAPES: dict[str, Callable[..., Array]] = {
+    "constant": _shaft(lambda w, d: np.ones_like(w)),
+    "direction of rotation": _shaft(lambda w, d: np.tanh(w / SLOW_RAD_S)),
+    "speed": _shaft(lambda w, d: w),
+    "speed squared, against it": _shaft(lambda w, d: w * np.abs(w)),
+    "speed to the fifth": _shaft(lambda w, d: (w / 100.0) ** 5),
+    "speed either way": _shaft(lambda w, d: np.abs(w)),
+    "command": _shaft(lambda w, d: d),
+    "command cubed": _shaft(lambda w, d: d**3),
+    "sign of the command": _shaft(lambda w, d: np.sign(d)),
+    "size of the command, against rotation": _shaft(
+        lambda w, d: np.abs(d) * np.tanh(w / SLOW_RAD_S)
+    ),
+    "direction of rotation while it slows": lambda x, d, t, i: (
+        np.tanh(x[:, i] / SLOW_RAD_S) * _slows(t, x[:, i])
+    ),
+    "time and command": lambda x, d, t, i: t * d[:, i],
+    "time and speed": lambda x, d, t, i: t * x[:, i],
+}
+
+NULL_SPACE = np.array([1.0, -1.0, 1.0, -1.0])
+"""Speeds of the wheels that move no body (model: V1 - V2 + V3 - V4 = 0)."""
+NULL_SPACE_SHAPES: dict[str, Callable[..., Array]] = {
+    "constant": lambda x, d, t, i: np.full(len(x), NULL_SPACE[i]),
+    "wheels that turn against each other": lambda x, d, t, i: (
+        NULL_SPACE[i] * (x[:, :4] @ NULL_SPACE)
+    ),
+    "commands against each other": lambda x, d, t, i: NULL_SPACE[i] * (d @ NULL_SPACE),
+}
+
+
+def _against_rotation(speed_rad_s: Array) -> Array:
+    return -np.tanh(speed_rad_s / SLOW_RAD_S)
+
+
+SHAFT_ANGLE, TWICE_SHAFT_ANGLE = {"the shaft angle": 1.0}, {"twice the shaft angle": 2.0}
+WAVES = {"sine": np.sin, "cosine": np.cos}
+
+
+def _wheel_angles(gear: float) -> dict[str, float]:
+    """Return what comes back with each turn of the wheel, or some times in it, per shaft angle."""
+    return {
+        "the wheel angle" if order == 1 else f"{order} times the wheel angle": order / gear
+        for order in WHEEL_ORDERS
+    }
+
+
+def _angle_terms(
+    equation: str,
+    angles: dict[str, float],
+    states: tuple[int, ...] = (),
+    outputs: tuple[int, ...] = (),
+    per_unit: Callable[[Array], Array] = np.ones_like,
+) -> list[Term]:
+    """Two phases of a wave over each of the angles, times a function of the shafts' speeds."""
+
+    def shape(x: Array, d: Array, t: Array, i: int, of: Callable[..., Array], wave: str) -> Array:
+        return WAVES[wave](of(x, d, t, i)) * per_unit(x[:, i])
+
+    terms = []
+    for name, ratio in angles.items():
+        angle = Quantity(
+            name.removeprefix("the "),
+            "rad",
+            lambda x, d, t, i, ratio=ratio: ratio * x[:, 4 + i],
+            2.0 * np.pi,
+        )
+        terms += [
+            Term(
+                equation,
+                f"{wave} of {name}",
+                states,
+                partial(shape, of=angle.of, wave=wave),
+                outputs,
+                name,
+                turning=len(states + outputs) == 1,  # each wheel stands where it stands
+                over=angle,
+            )
+            for wave in WAVES
+        ]
+    return terms
+
+
+MOTOR_SHAPES: dict[str, Callable[..., Array]] = {
+    "change of the command, by its size": lambda x, d, t, i: (
+        np.mean(np.abs(d), axis=1) * np.diff(d[:, i], prepend=d[0, i])
+    ),
+    **{
+        f"command of the {name} wheel": lambda x, d, t, i, further=further: d[:, (i + further) % 4]
+        for further, name in ((1, "next"), (2, "opposite"), (3, "previous"))
+    },
+}
+
+
+def _current(x: Array, d: Array, no_load_rad_s: float) -> Array:
+    """Currents (rows, motors) as shares of that at rest and full duty."""
+    return d - x[:, :4] / no_load_rad_s
+
+
+def _late(time_s: Array, values: Array, lag_s: float) -> Array:
+    share = 1.0 - np.exp(-np.median(np.diff(time_s)) / lag_s)
+    return lfilter([share], [1.0, share - 1.0], values)
+
+
+def _current_shapes(no_load_rad_s: float) -> dict[str, Callable[..., Array]]:
+    """Brushes, iron that saturates, what changes as a motor warms."""
+
+    def current(x: Array, d: Array, i: int) -> Array:
+        return _current(x, d, no_load_rad_s)[:, i]
+
+    def warm(x: Array, d: Array, t: Array, i: int, lag_s: float) -> Array:
+        return _late(t, current(x, d, i) ** 2, lag_s)
+
+    shapes: dict[str, Callable[..., Array]] = {
+        "direction of the current": lambda x, d, t, i: np.tanh(current(x, d, i) / SMALL_SHARE),
+        "current cubed": lambda x, d, t, i: current(x, d, i) ** 3,
+    }
+    for lag_s in WARM_S:
+        shapes[f"current, as it warms the motor in {lag_s:g} s"] = lambda x, d, t, i, lag_s=lag_s: (
+            current(x, d, i) * warm(x, d, t, i, lag_s)
+        )
+        shapes[f"direction of rotation, as the motor warms in {lag_s:g} s"] = (
+            lambda x, d, t, i, lag_s=lag_s: np.tanh(x[:, i] / SLOW_RAD_S) * warm(x, d, t, i, lag_s)
+        )
+    return shapes
+
+
+def _supply_shapes(no_load_rad_s: float) -> dict[str, Callable[..., Array]]:
+    """A supply that answers the current late: what all motors draw, smoothed, lowers all duties."""
+
+    def late(x: Array, d: Array, t: Array, i: int, lag_s: float) -> Array:
+        drawn = np.sum(d * _current(x, d, no_load_rad_s), axis=1)
+        return d[:, i] * _late(t, drawn, lag_s)
+
+    return {
+        f"command and the current of all, {lag_s:g} s late": partial(late, lag_s=lag_s)
+        for lag_s in SUPPLY_LAGS_S
+    }
+
+
+def swings(time_s: Array, speed: Array, swing_hz: float, damping: float, part: str) -> Array:
+    """Place or speed of a load on a spring beside what carries it with a `speed`, as accelerations.
+
+    Its place y obeys y'' + 2 z w y' + w^2 y = -(speed)': w^2 y, or w y'.
+    """
+    w = 2 * np.pi * swing_hz
+    above = [-(w**2), 0.0] if part == "place" else [-w, 0.0, 0.0]
+    below = [1.0, 2 * damping * w, w**2]
+    return lfilter(*bilinear(above, below, 1.0 / np.median(np.diff(time_s))), speed - speed[0])
+
+
+def swing_terms(kind: str, swing_hz: float, damping: float) -> list[Term]:
+    """What a load that swings in the body does to it, by its place and by its speed."""
+
+    def force(x: Array, d: Array, t: Array, state: int, part: str) -> Array:
+        velocity = turned(x[:, 13], x[:, 8:10])
+        own = [swings(t, speed, swing_hz, damping, part) for speed in velocity.T]
+        return turned(-x[:, 13], np.stack(own, axis=1))[:, state - 8]
+
+    def moment(x: Array, d: Array, t: Array, state: int, part: str) -> Array:
+        return swings(t, x[:, state], swing_hz, damping, part)
+
+    states, shape = {"world/force": ((8, 9), force), "body/moment": ((10,), moment)}[kind]
+    load = f"a load that swings at {swing_hz:.3g} Hz, damping ratio {damping:g}"
+    return [
+        Term(
+            kind,
+            f"{part} of {load}",
+            states,
+            partial(shape, part=part),
+            (),
+            load,
+            swing=(swing_hz, damping),
+        )
+        for part in ("place", "speed")
+    ]
+
+
+def wave_term(axis: str, number_1_m: Array, phase_rad: float) -> Term:
+    """A force along a world axis that is a wave in place, of a wave vector (2,)."""
+
+    def wave(x: Array, t: Array) -> Array:
+        return np.cos(x[:, 11:13] @ number_1_m + phase_rad)
+
+    way_deg, length_m = np.rad2deg(np.arctan2(*number_1_m[::-1])), 2 * np.pi / np.hypot(*number_1_m)
+    along = Quantity(
+        f"place along {way_deg:.0f} deg",
+        "m",
+        lambda x, d, t, i: x[:, 11:13] @ number_1_m * length_m / (2 * np.pi),
+        length_m,
+    )
+    dependence = f"a wave of {length_m:.2g} m along {way_deg:.0f} deg"
+    return Term(f"world/force_{axis}", dependence, (8, 9), in_world(axis, wave), over=along)
+
+
+def beat_terms(equation: str, beat_hz: float) -> list[Term]:
+    """Two phases of a beat in time, of the world's forces or in proportion to the commands."""
+    by_command = equation == BEATING[-1]
+    states = (0, 1, 2, 3) if by_command else (8, 9)
+    name = f"a beat of {beat_hz:.3g} Hz" + (" times the command" if by_command else "")
+
+    def shape(x: Array, d: Array, t: Array, i: int, wave: Callable[[Array], Array]) -> Array:
+        beat = wave(2 * np.pi * beat_hz * t)
+        if by_command:
+            return d[:, i] * beat
+        return in_world(equation[-1], lambda x, t: beat)(x, d, t, i)
+
+    weight = Quantity(
+        "the command" if by_command else "",
+        "1",
+        lambda x, d, t, i: d[:, i] if by_command else np.ones(len(x)),
+        frequency_hz=beat_hz,
+    )
+    return [
+        Term(
+            equation,
+            f"{own} of {name}",
+            states,
+            partial(shape, wave=wave),
+            (),
+            name,
+            turning=True,
+            over=weight,
+        )
+        for own, wave in WAVES.items()
+    ]
+
+
+GYRO_SHAPES: dict[str, Callable[..., Array]] = {
+    "acceleration along x": lambda x, d, t, i: _along(t, x[:, 8]) - x[:, 10] * x[:, 9],
+    "acceleration along y": lambda x, d, t, i: _along(t, x[:, 9]) + x[:, 10] * x[:, 8],
+    "speed along x": lambda x, d, t, i: x[:, 8],
+    "speed along y": lambda x, d, t, i: x[:, 9],
+    "yaw rate squared": lambda x, d, t, i: x[:, 10] * np.abs(x[:, 10]),
+    "time": lambda x, d, t, i: t,
+}
+
+CAMERA_SHAPES: dict[str, Callable[..., Array]] = {
+    "distance from the middle": lambda x, d, t, i: (
+        x[:, 6 + i] * (x[:, 11] ** 2 + x[:, 12] ** 2)  # sensors 5 and 6 show states 11 and 12
+    ),
+    "place x": lambda x, d, t, i: x[:, 6 + i] * x[:, 11],
+    "place y": lambda x, d, t, i: x[:, 6 + i] * x[:, 12],
+    "axis": lambda x, d, t, i: x[:, 6 + i] * (1.0 if i == 5 else -1.0),
+    "heading, as of a marker ahead of the centre": lambda x, d, t, i: np.cos(
+        x[:, 13] - (i == 6) * np.pi / 2
+    ),
+    "heading, as of a marker beside the centre": lambda x, d, t, i: np.cos(
+        x[:, 13] - (i == 6) * np.pi / 2 + np.pi / 2
+    ),
+}
+"""What a camera shows besides. In proportion to the place: a lens that bends, a camera that looks
+askew, axes of two scales. With the heading: a marker that is not at the robot's centre."""
+
+YAW_SHAPES: dict[str, Callable[..., Array]] = {
+    "constant": lambda x, d, t, i: np.ones(len(x)),
+    "direction of turning": lambda x, d, t, i: np.tanh(x[:, 10] / 0.05),
+    "yaw rate": lambda x, d, t, i: x[:, 10],
+    "yaw rate squared, against it": lambda x, d, t, i: x[:, 10] * np.abs(x[:, 10]),
+    "speed along x": lambda x, d, t, i: x[:, 8],
+    "speed along y": lambda x, d, t, i: x[:, 9],
+    "place x": lambda x, d, t, i: x[:, 11],
+    "place y": lambda x, d, t, i: x[:, 12],
+    "time": lambda x, d, t, i: t,
+}
+
+BODY_SHAPES: dict[str, Callable[..., Array]] = {
+    "constant": lambda x, d, t, i: np.ones(len(x)),
+    "own speed": lambda x, d, t, i: x[:, i],
+    "own speed squared, against it": lambda x, d, t, i: x[:, i] * np.abs(x[:, i]),
+    "own speed cubed": lambda x, d, t, i: x[:, i] ** 3,
+    "own speed while it slows": lambda x, d, t, i: x[:, i] * _slows(t, x[:, i]),
+    "speed across": lambda x, d, t, i: x[:, 17 - i],
+    "speed along and across": lambda x, d, t, i: x[:, 8] * x[:, 9],
+    "yaw rate": lambda x, d, t, i: x[:, 10],
+    "yaw rate and speed across": lambda x, d, t, i: x[:, 10] * x[:, 17 - i],
+    "time and speed": lambda x, d, t, i: t * x[:, i],
+}
+
+WORLD_SHAPES: dict[str, Callable[[Array, Array], Array]] = {
+    "constant": lambda x, t: np.ones(len(x)),
+    "place x": lambda x, t: x[:, 11],
+    "place y": lambda x, t: x[:, 12],
+    "time": lambda x, t: t,
+}
+
+
+def in_world(axis: str, shape: Callable[[Array, Array], Array]) -> Callable[..., Array]:
+    """A force along a world axis, turned into the body frame."""
+
+    def pushed(x: Array, d: Array, t: Array, state: int) -> Array:
+        heading = x[:, 13] if axis == "x" else x[:, 13] - np.pi / 2
+        part = np.cos(heading) if state == 8 else -np.sin(heading)
+        return shape(x, t) * part
+
+    return pushed
+
+
+MOTION_SHAPES: dict[str, Callable[[Array, Array], Array]] = {
+    "constant": lambda v, t: np.ones(len(v)),
+    "speed along": lambda v, t: v[:, 0],
+    "speed across": lambda v, t: v[:, 1],
+    "turning": lambda v, t: v[:, 2],
+    "size of the speed along": lambda v, t: np.abs(v[:, 0]),
+    "size of the speed across": lambda v, t: np.abs(v[:, 1]),
+    "size of the turning": lambda v, t: np.abs(v[:, 2]),
+    "turning and speed along": lambda v, t: v[:, 2] * v[:, 0],
+    "turning and speed across": lambda v, t: v[:, 2] * v[:, 1],
+    "direction of the speed along": lambda v, t: np.tanh(v[:, 0] / 0.02),
+    "direction of the speed across": lambda v, t: np.tanh(v[:, 1] / 0.02),
+    "direction of turning": lambda v, t: np.tanh(v[:, 2] / 0.05),
+    "time and speed along": lambda v, t: t * v[:, 0],
+    "time and speed across": lambda v, t: t * v[:, 1],
+    "time and turning": lambda v, t: t * v[:, 2],
+}
+
+
+def _of_odometry(
+    machine: Machine, part: int, shape: Callable[[Array, Array], Array]
+) -> Callable[..., Array]:
+    """A velocity of the body (forward, lateral, turning) beside the one of the encoders.
+
+    `shape` sees that one (rows, 3), as the believed geometry has it.
+    """
+    wheels, engine = machine.wheels, machine.engine
+    unit = np.zeros((wheels, engine.motors))
+    unit[:, :wheels] = np.eye(wheels)
+    per_rate = engine.derivatives(machine.believed, np.zeros((wheels, 3)), unit)
+
+    def pushed(x: Array, u: Array, t: Array, state: int) -> Array:
+        size = shape(u @ per_rate, t)
+        if part == 2 or state == 2:
+            return size if part == state else np.zeros(len(x))
+        heading = x[:, 2]
+        along = (np.cos(heading), np.sin(heading))
+        across = (-np.sin(heading), np.cos(heading))
+        return size * (along, across)[part][state]
+
+    return pushed
