@@ -1,5 +1,7 @@
 """What an unknown effect looks like: curves of known shape, and hidden terms of the generator."""
 
+import re
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,13 +10,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from omnislip.gap.leftover import find_leftover, responses
 from omnislip.gap.machine import Machine
-from omnislip.gap.recordings import make_run
+from omnislip.gap.recordings import make_run, unwrap_counts
 from omnislip.gap.search import believed_hypothesis, settle
-from omnislip.gap.terms import Quantity, dictionary
+from omnislip.gap.terms import Quantity, dictionary, swing_terms
 from omnislip.gap.truth import TruthCase, write_case
 from omnislip.gap.unknown import Curve, describe_unknown, equations, propose
 from omnislip.log_file import Log, read_log
 from omnislip.model_file import NOMINAL_ROBOT, read_model
+from truth_bench import logs_of
 
 
 def hidden(tmp_path, name, parameters, wheel=None):
@@ -79,6 +82,44 @@ def test_a_tight_spot_names_its_wheel_and_the_wheel_angle(tmp_path):
     found = described(machine, runs)
     assert (found.equation, found.dependence) == ("wheel/3/friction", "wheel angle")
     assert found.x[np.argmax(found.y)] == pytest.approx(np.pi / 2, abs=np.pi / 4)
+
+
+def test_a_wheel_angle_of_each_log_is_described_with_its_size(tmp_path):
+    """An encoder shows a + 0.02 sin(3 a / gear + phase) rad; counters start where they like."""
+    case = TruthCase(seed=8, runs=4, run_duration_s=3.0, base_offset_sd=0.0)
+    write_case(case, tmp_path)
+    machine = Machine(read_model(tmp_path / "robot.toml"))
+    name, per_rad = "wheel/2/encoder_counts", 2000 / (2 * np.pi)
+    runs = []
+    for k, path in enumerate(sorted(tmp_path.glob("run_*.csv"))):
+        log = read_log(path, "robot")
+        angle = unwrap_counts(log.columns[name]) / per_rad
+        shown = angle + 0.02 * np.sin(3 * angle / 12 + 2.0 * k)
+        counts = {name: np.round(per_rad * shown)}
+        runs.append(make_run(machine, replace(log, columns=log.columns | counts)))
+    found = described(machine, runs)
+    assert found.equation == "encoder/2/angle"
+    assert found.dependence == "3 times the wheel angle"
+    assert "phase of the run" in found.formula
+    assert np.max(np.abs(found.y)) == pytest.approx(0.02, rel=0.1)
+
+
+def test_a_load_that_swings_is_described_by_what_a_stop_sets_going():
+    """6 kg on a spring at 1.2 Hz: a stop from 1 m/s pulls at the robot with up to m w."""
+    machine = Machine(read_model(NOMINAL_ROBOT))
+    case = TruthCase(seed=8, runs=4, run_duration_s=3.0, base_offset_sd=0.0)
+    runs = [make_run(machine, log) for log in logs_of(case)]
+    data, fitted = settle(machine, runs, believed_hypothesis(machine))
+    place, _ = responses(data, fitted, swing_terms("world/force", 1.2, 0.1)).T
+    mass, *_ = machine.inertias(machine.believed)
+    moved = replace(fitted, residual=fitted.residual + 6.0 / mass * place)
+    leftover = find_leftover(data, moved, responses(data, moved, dictionary(machine)))
+    found = describe_unknown(SimpleNamespace(data=data, final=moved, leftover=leftover))
+    assert found.equation == "world/force"
+    w, fades = 2 * np.pi * 1.2, np.exp(-0.1 * np.pi / 2)
+    assert np.max(np.abs(found.y)) == pytest.approx(6.0 * w * fades, rel=0.15)
+    spring = re.search(r"([\d.]+) y = -acceleration", found.formula)
+    assert float(spring[1]) == pytest.approx(w**2, rel=0.15)
 
 
 def test_nothing_is_described_where_nothing_is_missing(tmp_path):

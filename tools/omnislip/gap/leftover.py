@@ -57,12 +57,17 @@ MOST_SHAPES = 5
 SWINGS_HZ, SWING_DAMPING = 0.7 * 4.0 ** (np.arange(10) / 4.0), 0.1
 NEARER, NEARER_DAMPINGS = 2.0 ** np.array([-0.25, -0.125, 0.0, 0.125, 0.25]), (0.03, 0.1, 0.3)
 """0.7 to 16 Hz by a factor of 1.4; factors from the best of them, and damping ratios."""
+SURE_SIZE = 2.0
+"""Standard deviations from which half a run knows a size of its own."""
 MORE, MORE_P_VALUE = 1.1, 1e-3
 """Factor by which more sizes have to gain more, and chance that they do."""
-BEATS_HZ = np.geomspace(0.3, 25.0, 200)
+BEATS_HZ = np.arange(0.3, 25.0, 0.08)
+"""In 6 s a beat is a sixth of a hertz wide."""
+TINY = 1e-6
 WAVES_1_M, WAVES_STEP_1_M, PHASES = (3.0, 26.0), 1.0, 4
 """Wave numbers of a floor (waves of 2 m to 24 cm), and from one to the next (in 3 m a third of a
 period)."""
+NEARER_WAVES = np.stack(np.meshgrid(*[np.arange(-0.5, 0.75, 0.25)] * 2), axis=-1).reshape(-1, 2)
 
 
 @dataclass(frozen=True)
@@ -251,7 +256,10 @@ class _Judge:
 
 
 def _check_halves(runs: Sequence[tuple[Array, Array]]) -> Check:
-    """Judge columns (rows, k) beside the residual of each run: one half by sizes of the other."""
+    """Judge columns (rows, k) beside the residual of each run: one half by sizes of the other.
+
+    Where that half knows them: many wheels hardly turn in it.
+    """
     judged = []
     for both in runs:
         halves = list(zip(*(np.array_split(part, 2) for part in both), strict=True))
@@ -261,7 +269,9 @@ def _check_halves(runs: Sequence[tuple[Array, Array]]) -> Check:
             stake = float(np.sum((own @ sizes) ** 2))
             unsure = float(np.trace(inverse @ own.T @ own))
             judged.append((-2.0 * (own @ sizes) @ left - stake, stake, unsure))
-    return Check(*np.array(judged).T)
+    gains, stakes, unsure = np.array(judged).T
+    known = stakes > SURE_SIZE**2 * unsure
+    return Check(gains[known], stakes[known], unsure[known])
 
 
 def _groups(terms: Sequence[Term]) -> dict[tuple[str, str], list[int]]:
@@ -304,31 +314,47 @@ def _swings_looked_for(data: Data, fitted: Fit) -> tuple[list[Term], Array]:
 def _looked_for(data: Data, fitted: Fit) -> tuple[list[Term], int]:
     """Return waves that the filter's disturbances hold most of, and among how many they are found.
 
-    A force f(r) = cos(k r + p) in place gives the sum over rows of f exp(-i k r) the phase p. Of
-    beats in time every run has its own phase, and adds its power.
+    Of waves in place a cos(k r) + b sin(k r) by least squares; beats in time have another phase in
+    every run, and their powers add.
     """
     values = fitted.hypothesis.flat(data.believed)
     tracks = track_all(data.machine, data.runs, values, data.noise)
-    numbers = _wave_numbers_1_m()
-    in_place = np.zeros((2, len(numbers)), np.complex128)
+    places, forces = [], []
     in_time = np.zeros((len(BEATING), len(BEATS_HZ)))
     for run, track in zip(data.runs, tracks, strict=True):
         state = track.state.reshape(len(run.t_s), -1)
         seen = state[:, DISTURBANCES]
         force = turned(state[:, 13], seen[:, 4:6])
-        force -= force.mean(axis=0)
-        in_place += (np.exp(-1j * (numbers @ state[:, 11:13].T)) @ force).T
+        forces.append(force - force.mean(axis=0))
+        places.append(state[:, 11:13])
         by_command = np.sum(seen[:, SHAFT] * run.command, axis=1)
+        beating = np.column_stack([forces[-1], by_command - by_command.mean()])
         beats = np.exp(-2j * np.pi * np.outer(BEATS_HZ, run.time_s))
-        beating = np.column_stack([force, by_command - by_command.mean()])
         in_time += np.abs(beats @ beating).T ** 2
-    terms = []
-    for axis, own in zip("xy", in_place, strict=True):
-        best = int(np.argmax(np.abs(own)))
-        terms.append(wave_term(axis, numbers[best], float(np.angle(own[best]))))
+
+    def best_of(numbers_1_m: Array, axis: int) -> tuple[Array, float]:
+        """Return the wave vector that explains most of the forces, and its phase."""
+        sums = np.zeros((3, len(numbers_1_m)), np.complex128)
+        for r, force in zip(places, forces, strict=True):
+            turn = np.exp(-1j * (numbers_1_m @ r.T))
+            sums += [turn @ force[:, axis], np.sum(turn**2, axis=1), np.full(len(turn), len(r))]
+        wave, twice, rows = sums
+        grams = 0.5 * np.array(
+            [[rows.real + twice.real, -twice.imag], [-twice.imag, rows.real - twice.real]]
+        )
+        slopes = np.stack([wave.real, -wave.imag], axis=1)
+        still = TINY * rows.real[:, None, None] * np.eye(2)  # a robot that stays in a place
+        sizes = np.linalg.solve(grams.transpose(2, 0, 1) + still, slopes[..., None])[..., 0]
+        best = int(np.argmax(np.sum(sizes * slopes, axis=1)))
+        return numbers_1_m[best], float(np.arctan2(-sizes[best, 1], sizes[best, 0]))
+
+    terms, numbers = [], _wave_numbers_1_m()
+    for axis, name in enumerate("xy"):
+        nearest, _ = best_of(numbers, axis)
+        terms.append(wave_term(name, *best_of(nearest + NEARER_WAVES * WAVES_STEP_1_M, axis)))
     for equation, power in zip(BEATING, in_time, strict=True):
         terms += beat_terms(equation, float(BEATS_HZ[np.argmax(power)]))
-    return terms, in_place.size * PHASES + in_time.size
+    return terms, 2 * PHASES * (len(numbers) + len(NEARER_WAVES)) + in_time.size
 
 
 def _wave_numbers_1_m() -> Array:
