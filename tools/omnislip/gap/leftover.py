@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import chi2
 
+from omnislip import _core
 from omnislip.gap.inference import (
     Check,
     Data,
@@ -63,7 +64,7 @@ MORE, MORE_P_VALUE = 1.1, 1e-3
 """Factor by which more sizes have to gain more, and chance that they do."""
 BEATS_HZ = np.arange(0.3, 25.0, 0.08)
 """In 6 s a beat is a sixth of a hertz wide."""
-TINY = 1e-6
+WAVE_ROW_S, TINY = 0.01, 1e-6
 WAVES_1_M, WAVES_STEP_1_M, PHASES = (3.0, 26.0), 1.0, 4
 """Wave numbers of a floor (waves of 2 m to 24 cm), and from one to the next (in 3 m a third of a
 period)."""
@@ -153,12 +154,24 @@ def _gains_of_shapes(
     return gains
 
 
-def responses(data: Data, fitted: Fit, terms: Sequence[Term]) -> Array:
-    """Return what a unit of each term changes of residuals (m, terms) beside what was fitted."""
-    values = fitted.hypothesis.flat(data.believed)
-    tracks = track_all(data.machine, data.runs, values, data.noise, keep_linear=True)
+def responses(
+    data: Data,
+    fitted: Fit,
+    terms: Sequence[Term],
+    tracks: Sequence[_core.Track] | None = None,
+) -> Array:
+    """Return what a unit of each term changes of residuals (m, terms) beside what was fitted.
+
+    Along the `tracks` of the model, with their matrices, if they are known.
+    """
+    tracks = tracks or _tracks(data, fitted)
     columns = data.responses(tracks, lambda _, run, state: _pushes(state, run, terms))
     return free_of_fitted(fitted, columns)
+
+
+def _tracks(data: Data, fitted: Fit) -> list[_core.Track]:
+    values = fitted.hypothesis.flat(data.believed)
+    return track_all(data.machine, data.runs, values, data.noise, keep_linear=True)
 
 
 def _passing(data: Data, fitted: Fit, terms: Sequence[Term], free: Array) -> list[Leftover]:
@@ -169,11 +182,12 @@ def _passing(data: Data, fitted: Fit, terms: Sequence[Term], free: Array) -> lis
     """
     choices = 0
     if data.machine.kind == "robot":
-        looked_for, choices = _looked_for(data, fitted)
+        tracks = _tracks(data, fitted)
+        looked_for, choices = _looked_for(data, tracks)
         more = [*nameless(data.machine), *looked_for]
-        swings, swinging = _swings_looked_for(data, fitted)
+        swings, swinging = _swings_looked_for(data, fitted, tracks)
         terms = [*terms, *more, *swings]
-        free = np.hstack([free, responses(data, fitted, more), swinging])
+        free = np.hstack([free, responses(data, fitted, more, tracks), swinging])
     groups = _groups(terms)
     tried = 2 * len(groups) + choices
     judge = _Judge(data, fitted, tried)
@@ -285,7 +299,9 @@ def _groups(terms: Sequence[Term]) -> dict[tuple[str, str], list[int]]:
     return groups
 
 
-def _swings_looked_for(data: Data, fitted: Fit) -> tuple[list[Term], Array]:
+def _swings_looked_for(
+    data: Data, fitted: Fit, tracks: Sequence[_core.Track]
+) -> tuple[list[Term], Array]:
     """Return the load that swings and explains most, as a force and as a moment: terms, responses.
 
     The best of all frequencies, then of those and of dampings beside it.
@@ -293,7 +309,7 @@ def _swings_looked_for(data: Data, fitted: Fit) -> tuple[list[Term], Array]:
     offered = [(kind, hz, SWING_DAMPING) for kind in SWINGING for hz in SWINGS_HZ]
     for nearer in (True, False):
         terms = [term for one in offered for term in swing_terms(*one)]
-        free = responses(data, fitted, terms)
+        free = responses(data, fitted, terms, tracks)
         pairs = np.split(free, len(offered), axis=1)
         gains = [float(np.sum((pair @ _sizes(pair, fitted.residual)) ** 2)) for pair in pairs]
         best = [
@@ -311,24 +327,24 @@ def _swings_looked_for(data: Data, fitted: Fit) -> tuple[list[Term], Array]:
     return [terms[j] for j in own], free[:, own]
 
 
-def _looked_for(data: Data, fitted: Fit) -> tuple[list[Term], int]:
+def _looked_for(data: Data, tracks: Sequence[_core.Track]) -> tuple[list[Term], int]:
     """Return waves that the filter's disturbances hold most of, and among how many they are found.
 
     Of waves in place a cos(k r) + b sin(k r) by least squares; beats in time have another phase in
     every run, and their powers add.
     """
-    values = fitted.hypothesis.flat(data.believed)
-    tracks = track_all(data.machine, data.runs, values, data.noise)
     places, forces = [], []
     in_time = np.zeros((len(BEATING), len(BEATS_HZ)))
     for run, track in zip(data.runs, tracks, strict=True):
         state = track.state.reshape(len(run.t_s), -1)
         seen = state[:, DISTURBANCES]
         force = turned(state[:, 13], seen[:, 4:6])
-        forces.append(force - force.mean(axis=0))
-        places.append(state[:, 11:13])
+        force -= force.mean(axis=0)
+        stride = max(1, round(WAVE_ROW_S / run.row_s))
+        forces.append(force[::stride])
+        places.append(state[::stride, 11:13])
         by_command = np.sum(seen[:, SHAFT] * run.command, axis=1)
-        beating = np.column_stack([forces[-1], by_command - by_command.mean()])
+        beating = np.column_stack([force, by_command - by_command.mean()])
         beats = np.exp(-2j * np.pi * np.outer(BEATS_HZ, run.time_s))
         in_time += np.abs(beats @ beating).T ** 2
 

@@ -11,7 +11,7 @@ from functools import partial
 
 import numpy as np
 import numpy.typing as npt
-from scipy.signal import bilinear, lfilter
+from scipy.signal import lfilter
 
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import no_load_speed_rad_s
@@ -303,10 +303,14 @@ def swings(time_s: Array, speed: Array, swing_hz: float, damping: float, part: s
 
     Its place y obeys y'' + 2 z w y' + w^2 y = -(speed)': w^2 y, or w y'.
     """
-    w = 2 * np.pi * swing_hz
-    above = [-(w**2), 0.0] if part == "place" else [-w, 0.0, 0.0]
-    below = [1.0, 2 * damping * w, w**2]
-    return lfilter(*bilinear(above, below, 1.0 / np.median(np.diff(time_s))), speed - speed[0])
+    w, c = 2 * np.pi * swing_hz, 2.0 / np.median(np.diff(time_s))  # s = c (1 - 1/z) / (1 + 1/z)
+    if part == "place":
+        above = -(w**2) * c * np.array([1.0, 0.0, -1.0])
+    else:
+        above = -w * c**2 * np.array([1.0, -2.0, 1.0])
+    fades = 2 * damping * w * c
+    below = np.array([c**2 + fades + w**2, 2 * (w**2 - c**2), c**2 - fades + w**2])
+    return lfilter(above, below, speed - speed[0])
 
 
 def swing_terms(kind: str, swing_hz: float, damping: float) -> list[Term]:
