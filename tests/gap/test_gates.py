@@ -399,6 +399,42 @@ def test_a_camera_that_starts_anew_cuts_the_log(time_s, jump):
     np.testing.assert_array_equal(np.isnan(checked.logs[0].columns[POSE[0]]), before)
 
 
+def test_a_pose_that_is_shown_again_in_motion_is_blanked(good):
+    """Five pictures on end show the pose of the first; the pictures before and after stay."""
+    rows = np.flatnonzero(~np.isnan(good.columns["pose/x_m"]))
+    speed = np.hypot(*np.gradient([good.columns[name][rows] for name in POSE[:2]], axis=1))
+    first = int(np.argmax(speed[:-10]))
+    held = {name: good.columns[name].copy() for name in POSE}
+    for name in POSE:
+        held[name][rows[first : first + 6]] = held[name][rows[first]]
+    checked = check(MACHINE, [replace(good, columns=good.columns | held)])
+    kept = ~np.isnan(checked.logs[0].columns["pose/x_m"][rows])
+    assert np.flatnonzero(~kept).tolist() == list(range(first + 1, first + 6))
+    assert any("the camera shows the last pose again" in one for one in checked.told)
+
+
+def test_poses_that_a_recorder_fills_in_are_blanked(good):
+    """A recorder that writes the last picture into every row: the pictures themselves stay."""
+    rows = np.flatnonzero(~np.isnan(good.columns["pose/x_m"]))
+    filled = {}
+    for name in POSE:
+        last = np.maximum.accumulate(
+            np.where(np.isnan(good.columns[name]), -1, np.arange(len(good.t_s)))
+        )
+        filled[name] = good.columns[name][np.maximum(last, rows[0])]
+    checked = check(MACHINE, [replace(good, columns=good.columns | filled)])
+    for name in POSE:
+        shown = checked.logs[0].columns[name]
+        np.testing.assert_array_equal(shown[rows[1:]], good.columns[name][rows[1:]])
+        assert np.sum(~np.isnan(shown)) <= len(rows) + 1
+
+
+def test_a_pose_that_rests_with_the_robot_stays(good):
+    still = {name: np.round(good.columns[name], 2) for name in POSE}  # steps of 10 mm, 10 mrad
+    checked = check(MACHINE, [replace(good, columns=good.columns | still)])
+    assert not any("again" in one for one in checked.told)
+
+
 def test_a_pose_that_jumps_all_the_time_is_told(good):
     x = good.columns[POSE[0]].copy()
     rows = np.flatnonzero(~np.isnan(x))[::5]

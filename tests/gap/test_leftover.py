@@ -5,13 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from omnislip.gap.inference import Data, fit
-from omnislip.gap.leftover import find_leftover, responses, shapes_instead
+from omnislip.gap.leftover import _hill, find_leftover, responses, shapes_instead
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import tune_noise
 from omnislip.gap.recordings import make_run, unwrap_counts
 from omnislip.gap.search import believed_hypothesis, settle
-from omnislip.gap.terms import BODY_SHAPES, dictionary, nameless, swing_terms
+from omnislip.gap.terms import BODY_SHAPES, dictionary, hill_term, nameless, swing_terms
 from omnislip.gap.truth import TruthCase
 from omnislip.gap.truth_effects import typical_effect
 from omnislip.model_file import NOMINAL_ROBOT, read_model
@@ -86,6 +88,46 @@ def test_a_load_that_swings_is_named_with_its_frequency(logs, swing_hz):
     assert found.equation == "world/force"
     shown = re.search(r"swings at ([\d.]+) Hz", found.dependence)
     assert float(shown[1]) == pytest.approx(swing_hz, rel=0.1)
+
+
+def test_rollers_that_turn_badly_at_a_place_of_the_wheel_are_named(logs):
+    """The residuals are moved by what 0.5 m/s2 at most would do to them."""
+    name = ("wheel/3/roller friction", "sine of the wheel angle")
+    term = next(one for one in nameless(MACHINE) if one.name == name)
+    runs = [make_run(MACHINE, log) for log in logs]
+    start = believed_hypothesis(MACHINE)
+    data = Data(MACHINE, runs, tune_noise(MACHINE, runs, MACHINE.believed), start)
+    fitted = fit(data, start)
+    [column] = responses(data, fitted, [term]).T
+    moved = replace(fitted, residual=fitted.residual + 0.5 * column)
+    found = find_leftover(data, moved, responses(data, moved, dictionary(MACHINE)))[0]
+    assert (found.equation, found.dependence) == name
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    st.floats(-0.6, 0.6),
+    st.floats(-0.6, 0.6),
+    st.floats(0.12, 0.3),
+    st.sampled_from([1.0, -1.0]),
+)
+def test_a_hill_or_hollow_is_found_where_it_is(x_m, y_m, width_m, sign):
+    """Four runs over 2 m x 2 m; the forces of 1 m/s2 at most have noise of a third."""
+    generator = np.random.default_rng(0)
+    true = hill_term(np.array([x_m, y_m]), width_m)
+    places, forces = [], []
+    for _ in range(4):
+        steps = generator.normal(0.0, 0.1, (600, 2))
+        place = np.clip(np.cumsum(steps, axis=0), -1.0, 1.0)
+        state = np.zeros((600, 14))
+        state[:, 11:13] = place
+        slope = np.stack([true.shape(state, None, None, axis) for axis in (8, 9)], axis=1)
+        places.append(place)
+        forces.append(sign * slope / 0.6 + generator.normal(0.0, 0.33, (600, 2)))
+    [found], tried = _hill(places, forces)
+    numbers = [float(n) for n in re.findall(r"-?\d+\.\d+", found.dependence)]
+    np.testing.assert_allclose(numbers, [x_m, y_m, width_m], atol=0.1)
+    assert tried > 500
 
 
 def test_a_load_on_a_spring_that_was_struck_rings_down():

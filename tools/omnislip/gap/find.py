@@ -656,9 +656,10 @@ def _better_without_name(selected: Sequence[Selected]) -> list[Selected]:
 
 
 def _no_chance(found: Predictable) -> bool:
-    """Whether what the filter takes for chance is predicted in most of the runs."""
+    """Whether what the filter takes for chance is predicted in most of the runs, two or more."""
     least = LASTING_SHARES[found.ahead_s] if found.from_own_past else PREDICTED_SHARE
-    return found.share > least and found.runs_helped > found.runs / 2
+    enough = found.runs_helped > max(found.runs / 2, 1)
+    return found.share > least and enough
 
 
 def _surely_refused(outcome: Outcome) -> Trial | None:

@@ -79,6 +79,8 @@ MOST_JUMPS = 0.05
 FALSE_RATE_RAD_S, FALSE_RATE_RAD_S2 = 1.0, 500.0
 """No torque turns a body so fast, above its neighbours' median, for a sample and back: offset, and
 rate for the time between samples."""
+RESOLUTIONS = 2.0
+"""Least steps of a camera that a robot goes before it should show another pose."""
 STILL_S = 0.3
 MOST_TURN_RAD = 0.5
 BLIND_DUTY = 0.15
@@ -131,6 +133,8 @@ def check(machine: Machine, logs: Sequence[Log]) -> Checked:
         if complaint:
             return Checked(list(logs), cuts, f"{log.name}: {complaint}")
         told += _told(log, "false gyro/z_rad_s, not used:", false_s)
+        better, again_s = _without_repeats(machine, better)
+        told += _told(log, "the camera shows the last pose again, not used:", again_s)
         better, false_s, jumps_s, often = _without_jumps(better)
         if often:
             complaint = f"{log.name}: the pose jumps again and again, first at {often:.2f} s"
@@ -689,6 +693,31 @@ def _blanked(log: Log, names: Sequence[str], rows: npt.NDArray[np.intp]) -> Log:
         columns[name] = columns[name].copy()
         columns[name][rows] = np.nan
     return replace(log, columns=columns)
+
+
+def _without_repeats(machine: Machine, log: Log) -> tuple[Log, list[float]]:
+    """Blank poses that a camera shows again although the wheels move the robot, and say when.
+
+    A pose that is measured has noise, and is never the same to the last digit. Where most of what
+    is shown in motion are repeats, a recorder fills rows without a picture: all are blanked.
+    """
+    rows = _sampled(log, *POSE_COLUMNS)
+    if rows.size < 10:
+        return log, []
+    steps = np.abs(np.diff([log.columns[name][rows] for name in POSE_COLUMNS], axis=1))
+    same = np.all(steps == 0.0, axis=0)
+    shown = [own[own > 0] for own in (steps[:2], steps[2])]
+    if not same.any() or not all(own.size for own in shown):
+        return log, []
+    moved = np.abs(np.diff(_body_travel(machine, log)[rows], axis=0))
+    ways = np.hypot(moved[:, 0], moved[:, 1]), moved[:, 2]
+    moves = np.any(
+        [way > RESOLUTIONS * own.min() for way, own in zip(ways, shown, strict=True)], axis=0
+    )
+    again = same & moves
+    if np.sum(again) > np.sum(moves) / 2:
+        again = same
+    return _blanked(log, POSE_COLUMNS, rows[1:][again]), log.t_s[rows[1:][again]].tolist()
 
 
 def _without_jumps(log: Log) -> tuple[Log, list[float], list[float], float | None]:

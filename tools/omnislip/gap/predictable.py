@@ -65,6 +65,8 @@ FRICTION_SHARE = 1e-4
 """Square of how far friction may be off, its keys and curve fitted. Where its law was a double
 exponential, disturbances were 0.4 % of friction and told 0.37 of themselves; a stuck roller's were
 6 %, those of a driver that folds back as it warms 24 %."""
+STIRRED = 0.5
+"""Share of what runs hold of the disturbances in the mean from which one has a vote."""
 MOVED = np.r_[SHAFT, BODY, YAW]
 """States that the equations move."""
 PAST_S = (0.005, 0.01, 0.02, 0.05)
@@ -74,7 +76,8 @@ TREES = {"max_iter": 50, "learning_rate": 0.1, "max_leaf_nodes": 8, "min_samples
 @dataclass(frozen=True)
 class Predictable:
     """Share of the disturbances of one equation that is predicted, from their own past or from what
-    the robot did, as learned on other runs; in how many of the runs that is nearer than nothing."""
+    the robot did, as learned on other runs; in how many runs that is nearer than nothing, of those
+    that hold disturbances enough: a hollow in the floor stirs the runs that come by."""
 
     equation: str
     from_own_past: bool
@@ -138,9 +141,10 @@ def predictable_shares(
                 error[unseen] = target[unseen] - learned
             left = np.bincount(owner, error**2, minlength=len(names))
             share = float((whole.sum() - left.sum()) / max(whole.sum(), least[index], 1e-300))
-            helped = int(np.sum(left < whole))
-            by_line = predicted is _by_line
-            found.append(Predictable(EQUATIONS[index], by_line, ahead_s, share, helped, len(names)))
+            stirred = whole >= STIRRED * whole.mean()
+            helped, by_line = int(np.sum(left[stirred] < whole[stirred])), predicted is _by_line
+            of = int(stirred.sum())
+            found.append(Predictable(EQUATIONS[index], by_line, ahead_s, share, helped, of))
         return found
 
     shares = side_by_side(shares_of, range(len(EQUATIONS)))

@@ -19,7 +19,7 @@ from omnislip.gap.noise import no_load_speed_rad_s
 Array = npt.NDArray[np.float64]
 
 SHAFT_ORDERS, WHEEL_ORDERS = range(2, 13), range(1, 7)
-SLOW_RAD_S, SMALL_SHARE = 2.0, 0.02
+SLOW_RAD_S, SLOW_M_S, SMALL_SHARE = 2.0, 0.05, 0.02
 GYRO, CAMERA = 4, (5, 6)
 SUPPLY_LAGS_S, WARM_S = (0.02, 0.2, 2.0), (0.5, 2.0, 8.0)
 EVERYWHERE = {"every wheel": (0, 1, 2, 3), **{f"wheel/{i + 1}": (i,) for i in range(4)}}
@@ -115,6 +115,7 @@ def nameless(machine: Machine) -> list[Term]:
     for i in range(4):
         terms += _angle_terms(f"wheel/{i + 1}/torque", angles, states=(i,))
         terms += _angle_terms(f"encoder/{i + 1}/angle", angles, outputs=(i,))
+        terms += _roller_terms(machine, i)
     return terms + [
         Term("every wheel/torque", name, (0, 1, 2, 3), shape, over=Quantity(name, "1", shape))
         for name, shape in _supply_shapes(no_load_rad_s).items()
@@ -239,6 +240,55 @@ def _angle_terms(
             for wave in WAVES
         ]
     return terms
+
+
+def roller_friction(machine: Machine, wheel: int, x: Array) -> dict[int, Array]:
+    """Return what a unit of friction of a wheel's rollers pushes: rates of the body (rows,).
+
+    Along the rollers' way, which leads straight away from the centre, and turns nothing.
+    """
+    bearing = np.deg2rad(machine.model.values["robot.wheel_angles_deg"][wheel])
+    along = np.array([np.cos(bearing), np.sin(bearing)])
+    against = -np.tanh(x[:, 8:10] @ along / SLOW_M_S)
+    return {8: against * along[0], 9: against * along[1]}
+
+
+def _roller_terms(machine: Machine, wheel: int) -> list[Term]:
+    """Rollers that turn badly at some places of a wheel."""
+    gear = float(machine.model.values["motor.gear_ratio"])
+
+    def shape(x: Array, d: Array, t: Array, state: int, wave: str) -> Array:
+        return WAVES[wave](x[:, 4 + wheel] / gear) * roller_friction(machine, wheel, x)[state]
+
+    angle = Quantity("wheel angle", "rad", lambda x, d, t, i: x[:, 4 + wheel] / gear, 2.0 * np.pi)
+    return [
+        Term(
+            f"wheel/{wheel + 1}/roller friction",
+            f"{wave} of the wheel angle",
+            (8, 9),
+            partial(shape, wave=wave),
+            (),
+            "the wheel angle",
+            turning=True,
+            over=angle,
+        )
+        for wave in WAVES
+    ]
+
+
+def hill_term(place_m: Array, width_m: float) -> Term:
+    """A force away from a place (2,), as of a hill in the floor with sides of some width.
+
+    Of a height h exp(-r^2 / 2 w^2) the slope: r / w exp(-r^2 / 2 w^2). A hollow pushes to it.
+    """
+
+    def force(x: Array, d: Array, t: Array, state: int) -> Array:
+        off = (x[:, 11:13] - place_m) / width_m
+        slope = off * np.exp(-0.5 * np.sum(off**2, axis=1, keepdims=True))
+        return turned(-x[:, 13], slope)[:, state - 8]
+
+    where = f"({place_m[0]:.2f}, {place_m[1]:.2f}) m"
+    return Term("world/force", f"a hill or hollow at {where}, {width_m:.2g} m wide", (8, 9), force)
 
 
 MOTOR_SHAPES: dict[str, Callable[..., Array]] = {

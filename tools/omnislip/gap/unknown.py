@@ -26,7 +26,7 @@ from omnislip.gap.machine import Machine
 from omnislip.gap.noise import DISTURBANCES, track_all
 from omnislip.gap.recordings import Run
 from omnislip.gap.search import Outcome
-from omnislip.gap.terms import Quantity, swings
+from omnislip.gap.terms import Quantity, roller_friction, swings
 
 Array = npt.NDArray[np.float64]
 
@@ -114,14 +114,17 @@ def describe_unknown(outcome: Outcome) -> Unknown | None:
     swings = [one for one in outcome.leftover if one.terms[0].swing and one.validation_gain > least]
     if swings:
         return _swinging(max(swings, key=lambda one: one.validation_gain), machine, values)
-    return _put_together(best) if best is not None else None
+    if best is not None:
+        return _put_together(best)
+    alone = [one for one in outcome.leftover if len(one.terms) == 1 and one.gain > one.covered]
+    return study.line_of(found, alone[0]) if alone else None
 
 
 class _Study:
     """Fits curves to what a model leaves of the data."""
 
     def __init__(self, data: Data, fitted: Fit, values: Array) -> None:
-        self._data, self._fitted = data, fitted
+        self._data, self._fitted, self._values = data, fitted, values
         self._tracks = track_all(data.machine, data.runs, values, data.noise, keep_linear=True)
 
     def all_pairs(self, found: Sequence[Equation]) -> Iterator[Curve]:
@@ -146,6 +149,35 @@ class _Study:
             elif quantity.name in {own.name for own in members[0].quantities}:
                 continue
             yield from self._pair(members, quantity)
+
+    def line_of(self, found: Sequence[Equation], one: Leftover) -> Unknown:
+        """Describe a term by the straight line that it is over its own values."""
+        [term], [size] = one.terms, one.sizes
+        equations_of = [e for e in found if one.equation in (e.name, _every(e.name))]
+        symbol, unit, per_rate = "shown besides", "m", -1.0  # by a camera
+        if not equations_of and one.terms[0].states:
+            symbol, unit, per_rate = "force", "N", self._data.machine.inertias(self._values)[0]
+        if equations_of:
+            symbol, unit = equations_of[0].symbol, equations_of[0].unit
+            per_rate = -1.0 if term.outputs else equations_of[0].size
+        moved = (term.states + term.outputs)[0]
+        values = [term.shape(x, run.command, run.time_s, moved) for run, x in self._states()]
+        x = np.linspace(*np.percentile(np.concatenate(values), OUTER), KNOTS)
+        slope = per_rate * float(size)
+        return Unknown(
+            one.equation,
+            one.dependence,
+            one.dependence,
+            f"{symbol} ({unit})",
+            x,
+            slope * x,
+            np.abs(slope * x) * np.sqrt(one.inflation / one.gain),
+            one.gain,
+            one.validation_gain,
+            f"{symbol} / ({unit}) = {slope:.3g} times {one.dependence}, in SI units",
+            1.0,
+            slope * x,
+        )
 
     def _pair(self, members: Sequence[Equation], quantity: Quantity) -> Iterator[Curve]:
         knots = self._knots(members, quantity)
@@ -352,6 +384,18 @@ def _robot_equations(machine: Machine, values: Array) -> list[Equation]:
         for i in range(4)
     ]
     found += [
+        Equation(
+            f"wheel/{i + 1}/roller friction",
+            "force against the rollers' way",
+            "N",
+            mass,
+            i,
+            (wheel_angle, TIME),
+            lambda x, i=i: roller_friction(machine, i, x),
+        )
+        for i in range(4)
+    ]
+    found += [
         Equation("body/force_x", "force along x", "N", mass, 0, body, lambda x: {8: _one(x)}),
         Equation("body/force_y", "force along y", "N", mass, 0, body, lambda x: {9: _one(x)}),
         Equation(
@@ -494,9 +538,10 @@ def _swinging(one: Leftover, machine: Machine, values: Array) -> Unknown:
     sizes = dict(zip(parts, own * one.sizes, strict=True))
     y = sum(size * swings(x, stop, swing_hz, damping, part) for part, size in sizes.items())
     w = 2 * np.pi * swing_hz
+    pulls = {"place": (w**2, "y"), "speed": (w, "y'")}
+    forces = [f"{size * pulls[part][0]:+.3g} {pulls[part][1]}" for part, size in sizes.items()]
     formula = (
-        f"{symbol} / ({unit}) = {sizes.get('place', 0.0) * w**2:+.3g} y "
-        f"{sizes.get('speed', 0.0) * w:+.3g} y', "
+        f"{symbol} / ({unit}) = {' '.join(forces)}, "
         f"y'' + {2 * damping * w:.3g} y' + {w**2:.3g} y = -acceleration"
     )
     return Unknown(
