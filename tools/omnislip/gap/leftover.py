@@ -106,8 +106,19 @@ class Shape:
 
 
 def find_leftover(data: Data, fitted: Fit, free: Array) -> list[Leftover]:
-    """Return the terms that pass, strongest first; `free` are the responses to the dictionary."""
-    return _passing(data, fitted, dictionary(data.machine), free)
+    """Return the terms that pass, strongest first; `free` are the responses to the dictionary.
+
+    Of a robot what no effect of the catalogue comes near, too, and what has to be looked for.
+    """
+    terms, choices = dictionary(data.machine), 0
+    if data.machine.kind == "robot":
+        tracks = _tracks(data, fitted)
+        looked_for, choices = _looked_for(data, tracks)
+        more = [*nameless(data.machine), *looked_for]
+        swings, swinging = _swings_looked_for(data, fitted, tracks)
+        terms = [*terms, *more, *swings]
+        free = np.hstack([free, responses(data, fitted, more, tracks), swinging])
+    return _passing(data, fitted, terms, free, choices)
 
 
 def find_shapes(data: Data, refit: Fit) -> list[Leftover]:
@@ -117,7 +128,7 @@ def find_shapes(data: Data, refit: Fit) -> list[Leftover]:
     """
     best: dict[str, Leftover] = {}
     terms = [*dictionary(data.machine), *patterns(data.machine)]
-    for found in _passing(data, refit, terms, responses(data, refit, terms)):
+    for found in _passing(data, refit, terms, responses(data, refit, terms), 0):
         best.setdefault(found.equation, found)
     return list(best.values())[:MOST_SHAPES]
 
@@ -180,20 +191,14 @@ def _tracks(data: Data, fitted: Fit) -> list[_core.Track]:
     return track_all(data.machine, data.runs, values, data.noise, keep_linear=True)
 
 
-def _passing(data: Data, fitted: Fit, terms: Sequence[Term], free: Array) -> list[Leftover]:
-    """Return the terms that pass, alone or jointly, and others that are looked for, best first.
+def _passing(
+    data: Data, fitted: Fit, terms: Sequence[Term], free: Array, choices: int
+) -> list[Leftover]:
+    """Return the terms that pass, alone or jointly, best first.
 
-    `free` (m, terms) are the responses to the terms. A wave over an angle is tried with a phase of
-    every run's own, too.
+    `free` (m, terms) are the responses to the terms, some of which were taken from so many
+    `choices`. A wave over an angle is tried with a phase of every run's own, too.
     """
-    choices = 0
-    if data.machine.kind == "robot":
-        tracks = _tracks(data, fitted)
-        looked_for, choices = _looked_for(data, tracks)
-        more = [*nameless(data.machine), *looked_for]
-        swings, swinging = _swings_looked_for(data, fitted, tracks)
-        terms = [*terms, *more, *swings]
-        free = np.hstack([free, responses(data, fitted, more, tracks), swinging])
     groups = _groups(terms)
     tried = 2 * len(groups) + choices
     judge = _Judge(data, fitted, tried)
