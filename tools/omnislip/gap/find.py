@@ -133,8 +133,8 @@ past. Where nothing is missing the first is below 0.1, beside right names too. T
 the slowest chance tells of itself 60 ms ahead (0.34): what fades within a tenth of a second gave
 0.31 at most, of 10 Hz and more below 0.01; unknown effects that pass for chance and that nothing
 else tells 0.39 to 0.9. And half as much again as that chance tells 120 ms ahead (0.17): there it
-gave 0.11 at most, loads that swing 0.23 to 0.51. More than half of the runs have to be helped: some
-hardly excite what is missing."""
+gave 0.11 at most, loads that swing 0.23 to 0.51. More than half of the runs that hold disturbances
+have to be helped, two or more: some hardly excite what is missing."""
 VARIES, VARIES_SURELY = 1.0 / 3.0, 3.0
 """Change of an effect's size from half second to half second, relative to itself, from which it is
 not what is there; and the inflation, 1 for white residuals, from which that is no chance."""

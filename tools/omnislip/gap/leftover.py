@@ -7,6 +7,12 @@ rows.py derives it); a term of a sensor is added to what it shows. Each term is 
 effect: gain T over what the fitted parameters leave, inflation by block sums, and the gain on each
 run by the size that fits the others. A term that passes says where something is missing and on what
 it depends, not what it is.
+
+Waves in place, hills, beats and loads that swing have a length, a place or a frequency besides. The
+filter's disturbances, or the responses themselves, are searched for the one that explains most; it
+is tested like the others, among as many as it was chosen from. Two terms of an angle or a beat may
+have sizes of every run's own, for a log counts from where it began: then one half of each run
+judges the sizes of the other.
 """
 
 from collections.abc import Callable, Sequence
@@ -37,6 +43,7 @@ from omnislip.gap.terms import (
     Term,
     beat_terms,
     dictionary,
+    hill_slope,
     hill_term,
     nameless,
     patterns,
@@ -397,8 +404,7 @@ def _hill(places: Sequence[Array], forces: Sequence[Array]) -> tuple[list[Term],
         """The best of centres and widths (hills, 3)."""
         gains, seen = np.zeros((2, len(hills), len(places)))
         for k, (place, force) in enumerate(zip(places, forces, strict=True)):
-            off = (place[None] - hills[:, None, :2]) / hills[:, None, 2:]
-            slope = off * np.exp(-0.5 * np.sum(off**2, axis=2, keepdims=True))
+            slope = hill_slope((place[None] - hills[:, None, :2]) / hills[:, None, 2:])
             gains[:, k] = np.einsum("hri,ri->h", slope, force)
             seen[:, k] = np.einsum("hri,hri->h", slope, slope)
         whole = seen.sum(axis=1)

@@ -143,8 +143,8 @@ def predictable_shares(
             share = float((whole.sum() - left.sum()) / max(whole.sum(), least[index], 1e-300))
             stirred = whole >= STIRRED * whole.mean()
             helped, by_line = int(np.sum(left[stirred] < whole[stirred])), predicted is _by_line
-            of = int(stirred.sum())
-            found.append(Predictable(EQUATIONS[index], by_line, ahead_s, share, helped, of))
+            voters = int(stirred.sum())
+            found.append(Predictable(EQUATIONS[index], by_line, ahead_s, share, helped, voters))
         return found
 
     shares = side_by_side(shares_of, range(len(EQUATIONS)))

@@ -85,7 +85,7 @@ def dictionary(machine: Machine) -> list[Term]:
             Term(f"{where}/torque", name, wheels, shape) for name, shape in SHAFT_SHAPES.items()
         ]
         terms += _angle_terms(f"{where}/torque", SHAFT_ANGLE, states=wheels)
-        terms += _angle_terms(f"{where}/friction", turn, wheels, per_unit=_against_rotation)
+        terms += _angle_terms(f"{where}/friction", turn, wheels, factor=against_rotation)
         shown = where.replace("wheel", "encoder")
         terms += _angle_terms(f"{shown}/angle", SHAFT_ANGLE | TWICE_SHAFT_ANGLE, outputs=wheels)
     terms += [Term("gyro", name, (), shape, (GYRO,)) for name, shape in GYRO_SHAPES.items()]
@@ -190,7 +190,8 @@ NULL_SPACE_SHAPES: dict[str, Callable[..., Array]] = {
 }
 
 
-def _against_rotation(speed_rad_s: Array) -> Array:
+def against_rotation(speed_rad_s: Array) -> Array:
+    """Return the direction of friction on shafts, smooth about rest."""
     return -np.tanh(speed_rad_s / SLOW_RAD_S)
 
 
@@ -211,35 +212,47 @@ def _angle_terms(
     angles: dict[str, float],
     states: tuple[int, ...] = (),
     outputs: tuple[int, ...] = (),
-    per_unit: Callable[[Array], Array] = np.ones_like,
+    factor: Callable[[Array], Array] = np.ones_like,
 ) -> list[Term]:
-    """Two phases of a wave over each of the angles, times a function of the shafts' speeds."""
-
-    def shape(x: Array, d: Array, t: Array, i: int, of: Callable[..., Array], wave: str) -> Array:
-        return WAVES[wave](of(x, d, t, i)) * per_unit(x[:, i])
-
+    """Waves over each of the angles, times a function of the shafts' speeds."""
     terms = []
     for name, ratio in angles.items():
-        angle = Quantity(
-            name.removeprefix("the "),
-            "rad",
-            lambda x, d, t, i, ratio=ratio: ratio * x[:, 4 + i],
-            2.0 * np.pi,
-        )
-        terms += [
-            Term(
-                equation,
-                f"{wave} of {name}",
-                states,
-                partial(shape, of=angle.of, wave=wave),
-                outputs,
-                name,
-                turning=len(states + outputs) == 1,  # each wheel stands where it stands
-                over=angle,
-            )
-            for wave in WAVES
-        ]
+
+        def of(x: Array, d: Array, t: Array, i: int, ratio: float = ratio) -> Array:
+            return ratio * x[:, 4 + i]
+
+        terms += _two_phases(equation, name, of, lambda x, i: factor(x[:, i]), states, outputs)
     return terms
+
+
+def _two_phases(
+    equation: str,
+    name: str,
+    of: Callable[[Array, Array, Array, int], Array],
+    factor: Callable[[Array, int], Array],
+    states: tuple[int, ...],
+    outputs: tuple[int, ...] = (),
+) -> list[Term]:
+    """Sine and cosine of an angle, times a function of the state and of what is pushed."""
+    one_wheel = "every" not in equation  # each wheel stands where it stands
+
+    def shape(x: Array, d: Array, t: Array, i: int, wave: str) -> Array:
+        return WAVES[wave](of(x, d, t, i)) * factor(x, i)
+
+    angle = Quantity(name.removeprefix("the "), "rad", of, 2.0 * np.pi)
+    return [
+        Term(
+            equation,
+            f"{wave} of {name}",
+            states,
+            partial(shape, wave=wave),
+            outputs,
+            name,
+            turning=one_wheel,
+            over=angle,
+        )
+        for wave in WAVES
+    ]
 
 
 def roller_friction(machine: Machine, wheel: int, x: Array) -> dict[int, Array]:
@@ -256,24 +269,18 @@ def roller_friction(machine: Machine, wheel: int, x: Array) -> dict[int, Array]:
 def _roller_terms(machine: Machine, wheel: int) -> list[Term]:
     """Rollers that turn badly at some places of a wheel."""
     gear = float(machine.model.values["motor.gear_ratio"])
+    return _two_phases(
+        f"wheel/{wheel + 1}/roller friction",
+        "the wheel angle",
+        lambda x, d, t, i: x[:, 4 + wheel] / gear,
+        lambda x, state: roller_friction(machine, wheel, x)[state],
+        (8, 9),
+    )
 
-    def shape(x: Array, d: Array, t: Array, state: int, wave: str) -> Array:
-        return WAVES[wave](x[:, 4 + wheel] / gear) * roller_friction(machine, wheel, x)[state]
 
-    angle = Quantity("wheel angle", "rad", lambda x, d, t, i: x[:, 4 + wheel] / gear, 2.0 * np.pi)
-    return [
-        Term(
-            f"wheel/{wheel + 1}/roller friction",
-            f"{wave} of the wheel angle",
-            (8, 9),
-            partial(shape, wave=wave),
-            (),
-            "the wheel angle",
-            turning=True,
-            over=angle,
-        )
-        for wave in WAVES
-    ]
+def hill_slope(off: Array) -> Array:
+    """Return the slope (..., 2) of exp(-r^2 / 2), the wrong way round, at places (..., 2)."""
+    return off * np.exp(-0.5 * np.sum(off**2, axis=-1, keepdims=True))
 
 
 def hill_term(place_m: Array, width_m: float) -> Term:
@@ -283,8 +290,7 @@ def hill_term(place_m: Array, width_m: float) -> Term:
     """
 
     def force(x: Array, d: Array, t: Array, state: int) -> Array:
-        off = (x[:, 11:13] - place_m) / width_m
-        slope = off * np.exp(-0.5 * np.sum(off**2, axis=1, keepdims=True))
+        slope = hill_slope((x[:, 11:13] - place_m) / width_m)
         return turned(-x[:, 13], slope)[:, state - 8]
 
     where = f"({place_m[0]:.2f}, {place_m[1]:.2f}) m"

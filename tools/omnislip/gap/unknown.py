@@ -26,7 +26,7 @@ from omnislip.gap.machine import Machine
 from omnislip.gap.noise import DISTURBANCES, track_all
 from omnislip.gap.recordings import Run
 from omnislip.gap.search import Outcome
-from omnislip.gap.terms import Quantity, roller_friction, swings
+from omnislip.gap.terms import GYRO_SHAPES, Quantity, against_rotation, roller_friction, swings
 
 Array = npt.NDArray[np.float64]
 
@@ -37,12 +37,14 @@ FREQUENCIES_HZ = np.geomspace(0.7, 40.0, 600)
 PEAK = 12.0
 """Power of a beat over the median of its spectrum (6.6 is the largest of 600 by chance in one run,
 1 %)."""
-SLOW_SHARE, SLOW_RAD_S = 0.02, 2.0
+SLOW_SHARE = 0.02
 SHAFT_TORQUE = "torque"
 P_VALUE = 1e-6
 """Over all pairs of equation and quantity."""
 MOST_TERMS = 3
+"""Of those that pass, strongest first, what they depend on is tried."""
 SWINGS_SHOWN, SWING_POINTS = 3.0, 121
+"""Of a load, periods and points of its curve."""
 PAIR_PENALTY = 3.0
 """How much more than by BIC a second shape has to explain."""
 
@@ -111,9 +113,9 @@ def describe_unknown(outcome: Outcome) -> Unknown | None:
     passed = [one for one in tried if one.p_value * len(tried) < P_VALUE and one.helps]
     best = max(passed, key=lambda one: one.validation_gain, default=None)
     least = best.validation_gain if best else 0.0
-    swings = [one for one in outcome.leftover if one.terms[0].swing and one.validation_gain > least]
-    if swings:
-        return _swinging(max(swings, key=lambda one: one.validation_gain), machine, values)
+    loads = [one for one in outcome.leftover if one.terms[0].swing and one.validation_gain > least]
+    if loads:
+        return _swinging(max(loads, key=lambda one: one.validation_gain), machine, values)
     if best is not None:
         return _put_together(best)
     alone = [one for one in outcome.leftover if len(one.terms) == 1 and one.gain > one.covered]
@@ -140,8 +142,7 @@ class _Study:
     def of_terms(self, found: Sequence[Equation], leftover: Sequence[Leftover]) -> Iterator[Curve]:
         """What the terms depend on that pass, each in its own equation."""
         for one in leftover:
-            quantity = one.terms[0].over
-            members = [e for e in found if one.equation in (e.name, _every(e.name))]
+            quantity, members = one.terms[0].over, _members(found, one)
             if quantity is None or not members:
                 continue
             if one.sizes.ndim > 1:
@@ -152,18 +153,18 @@ class _Study:
 
     def line_of(self, found: Sequence[Equation], one: Leftover) -> Unknown:
         """Describe a term by the straight line that it is over its own values."""
-        [term], [size] = one.terms, one.sizes
-        equations_of = [e for e in found if one.equation in (e.name, _every(e.name))]
-        symbol, unit, per_rate = "shown besides", "m", -1.0  # by a camera
-        if not equations_of and one.terms[0].states:
+        [term], [size], members = one.terms, one.sizes, _members(found, one)
+        if members:
+            symbol, unit, per_rate = members[0].symbol, members[0].unit, members[0].size
+        elif term.states:
             symbol, unit, per_rate = "force", "N", self._data.machine.inertias(self._values)[0]
-        if equations_of:
-            symbol, unit = equations_of[0].symbol, equations_of[0].unit
-            per_rate = -1.0 if term.outputs else equations_of[0].size
+        else:
+            symbol, unit, per_rate = "shown besides", "m", 1.0  # by a camera
+        sign = -1.0 if term.outputs else 1.0  # as of a curve
         moved = (term.states + term.outputs)[0]
         values = [term.shape(x, run.command, run.time_s, moved) for run, x in self._states()]
         x = np.linspace(*np.percentile(np.concatenate(values), OUTER), KNOTS)
-        slope = per_rate * float(size)
+        slope = sign * per_rate * float(size)
         return Unknown(
             one.equation,
             one.dependence,
@@ -307,6 +308,11 @@ def _every(name: str) -> str:
     return f"every {first}/{last}"
 
 
+def _members(found: Sequence[Equation], one: Leftover) -> list[Equation]:
+    """Return the equations of a term: one, those of all wheels, or none."""
+    return [e for e in found if one.equation in (e.name, _every(e.name))]
+
+
 def _hats(
     quantity: Quantity, knots: Array, run: Run, state: Array, motor: int, phase_rad: float
 ) -> Array:
@@ -359,6 +365,10 @@ def _robot_equations(machine: Machine, values: Array) -> list[Equation]:
     place_x = Quantity("place x", "m", lambda x, d, t, i: x[:, 11])
     place_y = Quantity("place y", "m", lambda x, d, t, i: x[:, 12])
     body = (along, across, turning, TIME)
+    accelerations = [
+        Quantity(name, "m/s2", GYRO_SHAPES[name])
+        for name in ("acceleration along x", "acceleration along y")
+    ]
     found = [
         Equation(
             f"wheel/{i + 1}/torque",
@@ -379,7 +389,7 @@ def _robot_equations(machine: Machine, values: Array) -> list[Equation]:
             shafts[i],
             i,
             (angle, wheel_angle, TIME),
-            lambda x, i=i: {i: -np.tanh(x[:, i] / SLOW_RAD_S)},
+            lambda x, i=i: {i: against_rotation(x[:, i])},
         )
         for i in range(4)
     ]
@@ -444,7 +454,7 @@ def _robot_equations(machine: Machine, values: Array) -> list[Equation]:
             "rad/s",
             1.0,
             0,
-            (turning, along, across, *_accelerations(), TIME),
+            (turning, along, across, *accelerations, TIME),
             outputs=(4,),
         ),
     ]
@@ -463,26 +473,6 @@ def _against_velocity(x: Array) -> dict[int, Array]:
     speed = np.hypot(x[:, 8], x[:, 9])
     share = 1.0 / np.maximum(speed, SLOW_SHARE)
     return {8: -x[:, 8] * share, 9: -x[:, 9] * share}
-
-
-def _accelerations() -> tuple[Quantity, ...]:
-    return (
-        Quantity(
-            "acceleration along x",
-            "m/s2",
-            lambda x, d, t, i: _rate(t, x[:, 8]) - x[:, 10] * x[:, 9],
-        ),
-        Quantity(
-            "acceleration along y",
-            "m/s2",
-            lambda x, d, t, i: _rate(t, x[:, 9]) + x[:, 10] * x[:, 8],
-        ),
-    )
-
-
-def _rate(time_s: Array, values: Array) -> Array:
-    kernel = np.ones(9) / 9
-    return np.convolve(np.gradient(values, time_s), kernel, mode="same")
 
 
 def _axis_equations(machine: Machine, values: Array) -> list[Equation]:
@@ -636,7 +626,7 @@ PERIODIC_SHAPES: dict[str, Callable[[Array], Array]] = {
 def propose(best: Curve, left: str) -> tuple[str, float, Array]:
     """Return a formula for a curve, the share of its weighted squares it explains, its values."""
     periodic = best.quantity.period is not None
-    if best.quantity.period is not None:
+    if periodic:
         largest = float(f"{best.quantity.period / (2 * np.pi):.3g}")
     else:
         largest = float(f"{np.max(np.abs(best.knots)):.2g}")
