@@ -89,15 +89,15 @@ def test_a_light_push_just_before_a_hard_one_is_found():
 
 
 def test_a_push_behind_the_row_that_foresees_it_is_found(tmp_path, monkeypatch):
-    likeliest = events._Pushes.likeliest_row
-    monkeypatch.setattr(events._Pushes, "likeliest_row", lambda *own: likeliest(*own) - 5)
+    likeliest = events.Jumps.likeliest_row
+    monkeypatch.setattr(events.Jumps, "likeliest_row", lambda *own: likeliest(*own) - 5)
     (impact,) = found_in(tmp_path, (7.0, 0.0, 0.0))
     assert impact.time_s == pytest.approx(2.5031, abs=0.005)
 
 
 def test_a_push_that_several_peaks_show_is_told_once(tmp_path, monkeypatch):
-    peaks = events._peaks
-    monkeypatch.setattr(events, "_peaks", lambda *own: [p for p in peaks(*own) for _ in range(2)])
+    peaks = events.peaks
+    monkeypatch.setattr(events, "peaks", lambda *own: [p for p in peaks(*own) for _ in range(2)])
     (impact,) = found_in(tmp_path, PUSHES[0])
     assert impact.time_s == pytest.approx(2.5031, abs=0.015)
 

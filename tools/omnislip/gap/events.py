@@ -166,14 +166,14 @@ def find_impacts(
 
 def _impacts_in(machine: Machine, run: Run, values: Array, noise: Noise) -> list[Impact]:
     [track] = track_all(machine, [run], values, noise, keep_linear=True)
-    pushes = _Pushes(machine, run, track)
+    pushes = Jumps(machine, run, track)
     ratio, jump, explained = pushes.ratios()
     level = float(np.percentile(ratio[pushes.first :], 80))
     filtered, impacts = track.state.reshape(len(run.t_s), -1), []
     threshold = max(LEAST_RATIO, OVER_LEVEL * level)
-    peaks = _peaks(run.t_s, ratio, threshold)
-    by_friction = _by_friction(machine, run, values, noise, pushes) if peaks else np.zeros(0)
-    for peak in peaks:
+    rows = peaks(run.t_s, ratio, threshold)
+    by_friction = _by_friction(machine, run, values, noise, pushes) if rows else np.zeros(0)
+    for peak in rows:
         if explained[peak] >= HARD_EXPLAINED and by_friction[peak] < BY_FRICTION * ratio[peak]:
             row = pushes.likeliest_row(peak, ratio > threshold)
             impact = _size_up(machine, run, row, values, noise, filtered, jump[row])
@@ -202,9 +202,7 @@ def _impacts_in(machine: Machine, run: Run, values: Array, noise: Noise) -> list
     return sorted(told, key=lambda one: one.time_s)
 
 
-def _by_friction(
-    machine: Machine, run: Run, values: Array, noise: Noise, pushes: "_Pushes"
-) -> Array:
+def _by_friction(machine: Machine, run: Run, values: Array, noise: Noise, pushes: "Jumps") -> Array:
     """Return what friction of another size explains of the horizon from each row on, as g (rows,).
 
     While wheels slide only friction tells how the robot goes, from one picture of a camera to the
@@ -213,7 +211,7 @@ def _by_friction(
     """
     less = machine.with_less_grip(values)
     [track] = track_all(machine, [run], less, noise, keep_linear=True)
-    change = (_Pushes(machine, run, track).white - pushes.white) / LESS_GRIP
+    change = (Jumps(machine, run, track).white - pushes.white) / LESS_GRIP
     both, own = np.sum(change * pushes.white, axis=1), np.sum(change**2, axis=1)
     ahead = np.ones(pushes.horizon)
     both, own = (np.convolve(part, ahead)[pushes.horizon - 1 :] for part in (both, own))
@@ -227,7 +225,7 @@ def shows(machine: Machine, run: Run, push: Impact, values: Array, noise: Noise)
     There may be no time for the filter to settle, and none to know the level of the run.
     """
     [track] = track_all(machine, [run], values, noise, keep_linear=True)
-    ratio, *_ = _Pushes(machine, run, track).ratios(first_row=1)
+    ratio, *_ = Jumps(machine, run, track).ratios(first_row=1)
     near = np.abs(run.t_s - push.time_s) <= max(SPAN_S, SPAN_ROWS * run.row_s)
     return bool(ratio[near].max(initial=0.0) > LEAST_RATIO)
 
@@ -583,10 +581,20 @@ def _explained(quiet: float, fits: Sequence[_JumpFit], chance: float) -> float:
     return gain / max(quiet - chance, gain) if gain > 0.0 else 0.0
 
 
-class _Pushes:
-    """What pushes before each row of a run would do to its whitened innovations."""
+class Jumps:
+    """What jumps of some states before each row of a run would do to its whitened innovations.
 
-    def __init__(self, machine: Machine, run: Run, track: _core.Track) -> None:
+    By default of the body's velocity, as a push makes.
+    """
+
+    def __init__(
+        self,
+        machine: Machine,
+        run: Run,
+        track: _core.Track,
+        jumped: slice = VELOCITY,
+        horizon_s: float = HORIZON_S,
+    ) -> None:
         n, m, rows = track.filter_states, machine.engine.outputs, len(run.t_s)
         sampled = ~np.isnan(run.outputs)
         slope = np.where(sampled[:, :, None], track.slope.reshape(rows, m, n), 0.0)
@@ -596,7 +604,8 @@ class _Pushes:
         self.shown = -(whitening @ slope)
         transition = track.transition.reshape(rows, n, n)
         self.carry = transition - transition @ gain @ slope
-        self.horizon = max(3, round(HORIZON_S / run.row_s))
+        self.horizon = max(3, round(horizon_s / run.row_s))
+        self._unit = np.eye(n)[:, jumped]
         self.t_s = run.t_s
         # A log that begins at rest begins from a known state. Else the filter has to find it.
         known_s = run.t_s[0] + HORIZON_S if run.at_rest else run.settled_s
@@ -604,14 +613,13 @@ class _Pushes:
         self.earliest = 1 if run.at_rest else self.first
 
     def ratios(self, first_row: int | None = None) -> tuple[Array, Array, Array]:
-        """Return g, the jump and the explained share for a push before each row.
+        """Return g, the jump and the explained share for a jump before each row.
 
         g is 0 before `first_row`; by default that from which the state is known.
         """
-        rows, n = len(self.white), self.carry.shape[1]
-        error = np.zeros((rows, n, 3))
-        error[:, VELOCITY] = np.eye(3)
-        information, right = np.zeros((rows, 3, 3)), np.zeros((rows, 3))
+        rows, jumps = len(self.white), self._unit.shape[1]
+        error = np.tile(self._unit, (rows, 1, 1))
+        information, right = np.zeros((rows, jumps, jumps)), np.zeros((rows, jumps))
         energy = np.zeros(rows)
         for ahead in range(self.horizon):
             # Row k of `error` is the error at row k + ahead after a push before row k.
@@ -622,7 +630,7 @@ class _Pushes:
             right[at] -= np.einsum("rij,ri->rj", response, self.white[seen])
             energy[at] += np.sum(self.white[seen] ** 2, axis=1)
             error[at] = self.carry[seen] @ error[at]
-        jump = np.linalg.solve(information + 1e-9 * np.eye(3), right[:, :, None])[:, :, 0]
+        jump = np.linalg.solve(information + 1e-9 * np.eye(jumps), right[:, :, None])[:, :, 0]
         ratio = np.einsum("ri,ri->r", right, jump)
         ratio[: self.first if first_row is None else first_row] = 0.0
         return ratio, jump, ratio / np.maximum(energy, 1e-12)
@@ -642,9 +650,8 @@ class _Pushes:
         return max(rows, key=lambda row: self._explained_until(row, end))
 
     def _explained_until(self, row: int, end: int) -> float:
-        error = np.zeros((self.carry.shape[1], 3))
-        error[VELOCITY] = np.eye(3)
-        information, right = 1e-9 * np.eye(3), np.zeros(3)
+        error, jumps = self._unit, self._unit.shape[1]
+        information, right = 1e-9 * np.eye(jumps), np.zeros(jumps)
         for k in range(row, end):
             response = self.shown[k] @ error
             information += response.T @ response
@@ -653,7 +660,7 @@ class _Pushes:
         return float(right @ np.linalg.solve(information, right))
 
 
-def _peaks(t_s: Array, ratio: Array, threshold: float) -> list[int]:
+def peaks(t_s: Array, ratio: Array, threshold: float) -> list[int]:
     """Rows of the local maxima above the threshold, strongest first claiming its surroundings.
 
     After it for long, before it only rows that look as far ahead: another push may have come there.

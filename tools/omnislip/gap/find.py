@@ -35,7 +35,7 @@ from omnislip.gap.events import (
 from omnislip.gap.gates import check, logged_set_points, rows_far_apart, too_poor
 from omnislip.gap.inference import Data, Hypothesis, at_bound, fit, prior_penalty
 from omnislip.gap.inverse import relative_force_error
-from omnislip.gap.leftover import Leftover, find_shapes
+from omnislip.gap.leftover import UNKNOWN_SHARE, Leftover, find_shapes
 from omnislip.gap.machine import CURVE, EXTENSIONS, Machine, effect_and_wheel
 from omnislip.gap.metrics import (
     REPEATED,
@@ -46,6 +46,7 @@ from omnislip.gap.metrics import (
     gap_table,
     replay_all,
 )
+from omnislip.gap.moments import Moment, find_moments
 from omnislip.gap.noise import LASTING_RATE_1_S, Noise, judging_noise
 from omnislip.gap.plan import Separation, separating_manoeuvre
 from omnislip.gap.predictable import OWN_PASTS_S, Predictable, predictable_shares
@@ -137,7 +138,8 @@ gave 0.11 at most, loads that swing 0.23 to 0.51. More than half of the runs tha
 have to be helped, two or more: some hardly excite what is missing."""
 VARIES, VARIES_SURELY = 1.0 / 3.0, 3.0
 """Change of an effect's size from half second to half second, relative to itself, from which it is
-not what is there; and the inflation, 1 for white residuals, from which that is no chance."""
+not what is there, even where that leaves little; and the inflation, 1 for white residuals, from
+which that is no chance. (68 right sets: what they left so was 0.036^2 of them at most.)"""
 NAMELESS, NAMELESS_GAIN = 1.1, 50.0
 """How much more a nameless term must explain than a name in its place, and by what gain beyond
 chance: beside right names the best such term explains as much at most (1.0)."""
@@ -145,6 +147,8 @@ EXPLAINED, PROVEN = 0.9, 0.5
 """Share of the gap on held-out runs that effects must be able to close, where much of it is left to
 judge by and where little is: in their intervals the names of 132 models closed 0.95 and more, those
 of three robots that lack nothing but the friction curve 0.2 to 0.55."""
+OF_ONE_WHEEL = 0.8
+"""Share of the squares of sudden jumps from which they are of one wheel."""
 LEAST_EXCESS = 0.5
 """Excess of the square error, in noise floors, that counts as something left."""
 FAR_EXCESS = 24.0
@@ -231,6 +235,8 @@ class Findings:
     """What each balance of a robot leaves on the held-out runs, beside the models of the table."""
     noise: Noise | None = None
     """By which the replays of the held-out runs are judged."""
+    moments: list[Moment] = field(default_factory=list)
+    """When shafts of the runs that were fitted jumped as no command tells."""
 
     @property
     def amended_words(self) -> str:
@@ -342,8 +348,10 @@ def find_gap(
     shares = predictable_shares(
         machine, fitted, outcome.data.noise, after, refit, outcome.data.answers
     )
+    moments = find_moments(machine, fitted, after, outcome.data.noise)
     jolts = too_often(runs, impacts)
-    verdict = _verdict(outcome, table, bool(wiring or impacts), shares, jolts)
+    sudden = jolts or bool(moments)
+    verdict = _verdict(outcome, table, bool(wiring or impacts), shares, sudden)
     something = outcome.selected or verdict == "unknown_effect"
     places = describe(fitted, gap_map) if something else []
     shapes = _shapes(machine, split, outcome) if something else []
@@ -373,7 +381,7 @@ def find_gap(
             manoeuvres |= {one.candidate.name: best} if best else {}
     return Findings(
         verdict,
-        _sentence(verdict, machine, outcome, table, mended, unknown, shares, shapes)
+        _sentence(verdict, machine, outcome, table, mended, unknown, shares, shapes, moments)
         + _undecided(other_wirings)
         + _advice(outcome.selected, manoeuvres)
         + "".join(f" {caution}" for caution in cautions),
@@ -398,6 +406,7 @@ def find_gap(
         told,
         find_balances(machine, replays, outcome.data.noise, models),
         judging,
+        moments,
     )
 
 
@@ -582,7 +591,7 @@ def _too_cut(split: Split) -> str:
 
 
 def _verdict(
-    outcome: Outcome, table: GapTable, mended: bool, shares: Sequence[Predictable], jolts: bool
+    outcome: Outcome, table: GapTable, mended: bool, shares: Sequence[Predictable], sudden: bool
 ) -> str:
     """Name effects only if they explain what is to be explained."""
     if (
@@ -593,7 +602,7 @@ def _verdict(
         return "unknown_effect"
     if _refused_in_places(outcome, table):
         return "unknown_effect"
-    if jolts or any(_no_chance(one) for one in shares) or _varying(outcome.selected):
+    if sudden or any(_no_chance(one) for one in shares) or _varying(outcome.selected):
         return "unknown_effect"
     if _keys_at_their_ends(outcome) or _better_without_name(outcome.selected):
         return "unknown_effect"
@@ -627,17 +636,24 @@ def _missing_terms(outcome: Outcome) -> list[Leftover]:
 def _varying(selected: Sequence[Selected]) -> list[Selected]:
     """Return the effects whose size is not the same throughout the logs, where that leaves much.
 
-    A size that varies by v leaves v^2 of its gain. What a weak effect leaves so is nothing beside
-    stronger ones; the friction curve, strong as it may be, covers nothing. What any law of friction
-    is off by is no news.
+    A size that varies by v leaves v^2 of its gain: as much as a missing term has to gain, or much
+    of what is named. What a weak effect leaves so is nothing beside stronger ones. The friction
+    curve, strong as it may be, covers nothing, and varies where nothing is missing; what any law of
+    friction is off by is no news.
     """
     named = sum(one.evidence.gain for one in selected if one.candidate.effect != CURVE)
+
+    def least(one: Selected) -> float:
+        much = VARIES**2 * max(named, one.evidence.gain)
+        if one.candidate.effect != CURVE:
+            much = min(much, max(LEAST_REST, UNKNOWN_SHARE * named))
+        return max(much, one.law_gain)
+
     return [
         one
         for one in selected
         if one.evidence.inflation > VARIES_SURELY
-        and one.evidence.variation**2 * one.evidence.gain
-        > max(VARIES**2 * max(named, one.evidence.gain), one.law_gain)
+        and one.evidence.variation**2 * one.evidence.gain > least(one)
     ]
 
 
@@ -1026,6 +1042,7 @@ def _sentence(
     unknown: Unknown | None,
     shares: Sequence[Predictable],
     shapes: Sequence[Leftover],
+    moments: Sequence[Moment],
 ) -> str:
     """Return the verdict as one sentence with numbers; `mended` is what is not a term."""
     if verdict == "no_gap":
@@ -1045,6 +1062,7 @@ def _sentence(
                 f": {100 * sure[0].share:.0f} % of what passes for chance in "
                 f"{sure[0].equation} can be predicted from {source}"
             )
+        text += f"; {moment_words(moments)}" if moments else ""
         text += "".join(
             f"; the size of {one.candidate.name}, which is nearest, changes by"
             f" {100 * one.evidence.variation:.0f} % from half second to half second"
@@ -1135,6 +1153,19 @@ def _jolt_words(impacts: Sequence[Impact]) -> list[str]:
     return [f"{len(impacts)} sudden jumps of velocity, more than anybody pushes"]
 
 
+def moment_words(moments: Sequence[Moment]) -> str:
+    """Return how often shafts jump as no command tells, which ones, and when most."""
+    squares = np.mean([one.jump_rad_s**2 for one in moments], axis=0)
+    alone = squares > OF_ONE_WHEEL * squares.sum()
+    where = f"wheel {np.argmax(squares) + 1}" if alone.any() else "several wheels"
+    first = sorted(moments, key=lambda one: -one.ratio)[:3]
+    when = ", ".join(f"{one.run} at {one.time_s:.3f} s" for one in first)
+    return (
+        f"{len(moments)} times {where} suddenly turned slower or faster, by some "
+        f"{one_digit(float(squares.max()) ** 0.5)} rad/s of the shaft, as no command tells ({when})"
+    )
+
+
 def one_digit(value: float) -> str:
     """Return a number rounded to its first digit: 20, not 2e+01."""
     return f"{float(f'{value:.1g}'):g}"
@@ -1219,6 +1250,15 @@ def to_json(findings: Findings) -> dict[str, Any]:
         "cautions": findings.cautions,
         "recording": findings.recording,
         "predictable": [asdict(one) for one in findings.predictable],
+        "moments": [
+            {
+                "run": one.run,
+                "time_s": one.time_s,
+                "ratio": one.ratio,
+                "jump_rad_s": one.jump_rad_s.tolist(),
+            }
+            for one in findings.moments
+        ],
         "unknown_curve": _curve_json(findings.unknown) if findings.unknown else None,
         "balances": [
             {

@@ -47,6 +47,8 @@ from omnislip.gap.terms import (
     hill_term,
     nameless,
     patterns,
+    pull_term,
+    pull_to,
     swing_terms,
     turned,
     wave_term,
@@ -78,9 +80,12 @@ WAVE_ROW_S, TINY = 0.01, 1e-6
 WAVES_1_M, WAVES_STEP_1_M, PHASES = (3.0, 26.0), 1.0, 4
 """Wave numbers of a floor (waves of 2 m to 24 cm), and from one to the next (in 3 m a third of a
 period)."""
-HILL_STEP_M, MOST_HILLS, HILL_WIDTHS_M, SEEN_SHARE = 0.15, 25.0, (0.1, 0.2, 0.35), 0.1
-"""Between hills that are tried, how many of them along a side at most, their widths, and the share
-of a hill's slope that another run has to pass."""
+PLACED = {"hill": (hill_slope, hill_term), "pull": (pull_to, pull_term)}
+HILL_STEP_M, MOST_HILLS, SEEN_SHARE = 0.15, 25.0, 0.1
+WIDTHS_M = {"hill": (0.1, 0.2, 0.35), "pull": (0.05,)}
+AROUND_M = {"hill": 0.0, "pull": 1.0}
+"""Between hills and other places that are tried, how many of them along a side at most, the share
+of what they do that another run has to feel, their widths, and how far off the way they may be."""
 NEARER_WAVES = np.stack(np.meshgrid(*[np.arange(-0.5, 0.75, 0.25)] * 2), axis=-1).reshape(-1, 2)
 
 
@@ -386,47 +391,51 @@ def _looked_for(data: Data, tracks: Sequence[_core.Track]) -> tuple[list[Term], 
     for axis, name in enumerate("xy"):
         nearest, _ = best_of(numbers, axis)
         terms.append(wave_term(name, *best_of(nearest + NEARER_WAVES * WAVES_STEP_1_M, axis)))
-    hill, hills = _hill(places, forces)
-    terms += hill
+    placed = 0
+    for of in PLACED:
+        found, tried = _placed(places, forces, of)
+        terms, placed = terms + found, placed + tried
     for equation, power in zip(BEATING, in_time, strict=True):
         terms += beat_terms(equation, float(BEATS_HZ[np.argmax(power)]))
     waves = 2 * PHASES * (len(numbers) + len(NEARER_WAVES))
-    return terms, waves + in_time.size + hills
+    return terms, waves + in_time.size + placed
 
 
-def _hill(places: Sequence[Array], forces: Sequence[Array]) -> tuple[list[Term], int]:
-    """Return the hill or hollow that explains most of forces in the world, and how many are tried.
+def _placed(places: Sequence[Array], forces: Sequence[Array], of: str) -> tuple[list[Term], int]:
+    """Return what explains most of forces in the world about a place, and how many are tried.
 
-    Of those by which two runs come: where one did, nothing could check it.
+    A hill or hollow, or a pull to the place. Of those that two runs feel: where one does, nothing
+    could check it.
     """
+    push, term = PLACED[of]
 
-    def best_of(hills: Array) -> Array | None:
-        """The best of centres and widths (hills, 3)."""
-        gains, seen = np.zeros((2, len(hills), len(places)))
+    def best_of(offered: Array) -> Array | None:
+        """The best of centres and widths (offered, 3)."""
+        gains, seen = np.zeros((2, len(offered), len(places)))
         for k, (place, force) in enumerate(zip(places, forces, strict=True)):
-            slope = hill_slope((place[None] - hills[:, None, :2]) / hills[:, None, 2:])
-            gains[:, k] = np.einsum("hri,ri->h", slope, force)
-            seen[:, k] = np.einsum("hri,hri->h", slope, slope)
+            pushes = push((place[None] - offered[:, None, :2]) / offered[:, None, 2:])
+            pushes -= pushes.mean(axis=1, keepdims=True)
+            gains[:, k] = np.einsum("hri,ri->h", pushes, force)
+            seen[:, k] = np.einsum("hri,hri->h", pushes, pushes)
         whole = seen.sum(axis=1)
         shared = np.sum(seen > SEEN_SHARE * whole[:, None], axis=1) > 1
         gain = np.where(shared, gains.sum(axis=1) ** 2 / np.maximum(whole, TINY), 0.0)
         best = int(np.argmax(gain))
-        return hills[best] if gain[best] > 0 else None
+        return offered[best] if gain[best] > 0 else None
 
-    everywhere = np.concatenate(places)
-    low, high = np.percentile(everywhere, (1.0, 99.0), axis=0)
+    low, high = np.percentile(np.concatenate(places), (1.0, 99.0), axis=0)
+    low, high = low - AROUND_M[of], high + AROUND_M[of]
     step_m = max(HILL_STEP_M, float(np.max(high - low)) / MOST_HILLS)
     axes = [np.arange(a, b + step_m, step_m) for a, b in zip(low, high, strict=True)]
-    hills = np.stack(np.meshgrid(*axes, HILL_WIDTHS_M), axis=-1).reshape(-1, 3)
-    best = best_of(hills)
+    offered = np.stack(np.meshgrid(*axes, WIDTHS_M[of]), axis=-1).reshape(-1, 3)
+    best = best_of(offered)
     if best is None:
-        return [], len(hills)
+        return [], len(offered)
     moved = np.stack(np.meshgrid(*[[-0.5, 0.0, 0.5]] * 3), axis=-1).reshape(-1, 3)
     near = best + moved * [step_m, step_m, 0.4 * best[2]]
     best = best_of(near)
-    if best is None:
-        return [], len(hills) + len(near)
-    return [hill_term(best[:2], float(best[2]))], len(hills) + len(near)
+    found = [] if best is None else [term(best[:2], float(best[2]))]
+    return found, len(offered) + len(near)
 
 
 def _wave_numbers_1_m() -> Array:

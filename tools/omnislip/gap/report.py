@@ -450,7 +450,8 @@ def _thresholds() -> list[tuple[str, str]]:
         ),
         (
             f"{100 * find.VARIES:.0f} %",
-            "change of an effect's size from half second to half second that makes it unknown",
+            "change of an effect's size from half second to half second that makes it unknown, or "
+            "less of it that leaves as much as such a term gains",
         ),
         (f"{search.MOST_EFFECTS}", "most effects that are added"),
         (

@@ -288,13 +288,32 @@ def hill_term(place_m: Array, width_m: float) -> Term:
 
     Of a height h exp(-r^2 / 2 w^2) the slope: r / w exp(-r^2 / 2 w^2). A hollow pushes to it.
     """
+    where = f"({place_m[0]:.2f}, {place_m[1]:.2f}) m"
+    name = f"a hill or hollow at {where}, {width_m:.2g} m wide"
+    return _placed_term(name, hill_slope, place_m, width_m)
+
+
+def pull_to(off: Array) -> Array:
+    """Return directions (..., 2) away from the middle of places (..., 2), smooth about it."""
+    return off / np.sqrt(1.0 + np.sum(off**2, axis=-1, keepdims=True))
+
+
+def pull_term(place_m: Array, width_m: float) -> Term:
+    """A force towards a place (2,) or away from it, as strong from afar: a cable on a reel."""
+    where = f"({place_m[0]:.2f}, {place_m[1]:.2f}) m"
+    return _placed_term(f"direction to {where}", pull_to, place_m, width_m)
+
+
+def _placed_term(
+    dependence: str, push: Callable[[Array], Array], place_m: Array, width_m: float
+) -> Term:
+    """A force in the world that is a function of where a place is, in widths."""
 
     def force(x: Array, d: Array, t: Array, state: int) -> Array:
-        slope = hill_slope((x[:, 11:13] - place_m) / width_m)
-        return turned(-x[:, 13], slope)[:, state - 8]
+        pushed = push((x[:, 11:13] - place_m) / width_m)
+        return turned(-x[:, 13], pushed)[:, state - 8]
 
-    where = f"({place_m[0]:.2f}, {place_m[1]:.2f}) m"
-    return Term("world/force", f"a hill or hollow at {where}, {width_m:.2g} m wide", (8, 9), force)
+    return Term("world/force", dependence, (8, 9), force)
 
 
 MOTOR_SHAPES: dict[str, Callable[..., Array]] = {

@@ -1,0 +1,63 @@
+"""Moments in which shafts do what no command tells; chance and commands that jump make none."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from omnislip.gap.machine import Machine
+from omnislip.gap.moments import LEAST_LOGS, LEAST_MOMENTS, find_moments
+from omnislip.gap.recordings import make_run
+from omnislip.gap.search import believed_hypothesis, settle
+from omnislip.gap.truth import TruthCase
+from omnislip.model_file import NOMINAL_ROBOT, read_model
+from truth_bench import logs_of
+
+MACHINE = Machine(read_model(NOMINAL_ROBOT))
+
+
+def moments_in(logs):
+    """Moments beside the believed model, its keys and the noise fitted."""
+    runs = [make_run(MACHINE, log) for log in logs]
+    data, fitted = settle(MACHINE, runs, believed_hypothesis(MACHINE))
+    return find_moments(MACHINE, runs, fitted.hypothesis.flat(MACHINE.believed), data.noise)
+
+
+def truth_case(effects=(), **changed):
+    return TruthCase(
+        9,
+        effects=effects,
+        runs=4,
+        run_duration_s=4.0,
+        base_offset_sd=0.0,
+        sensors=("gyro", "pose"),
+        **changed,
+    )
+
+
+@pytest.mark.parametrize("excitation", ["ordinary", "rich"])
+def test_where_nothing_is_missing_there_are_none(excitation):
+    """Also where duties jump, which a logged mean does not time to better than its row."""
+    assert moments_in(logs_of(truth_case(excitation=excitation))) == []
+
+
+def test_a_driver_that_cuts_out_for_a_moment_is_found_with_its_wheel_and_times():
+    outages = {"duration_s": 0.02, "period_s": 0.7}
+    effect = {"name": "driver_outage", "parameters": outages, "wheel": 3}
+    found = moments_in(logs_of(truth_case((effect,))))
+    assert len(found) >= LEAST_MOMENTS
+    assert len({one.run for one in found}) >= LEAST_LOGS
+    squares = np.mean([one.jump_rad_s**2 for one in found], axis=0)
+    assert squares[2] > 0.8 * squares.sum()
+    for name in {one.run for one in found}:
+        times_s = np.array([one.time_s for one in found if one.run == name])
+        off_s = (times_s - times_s[0] + 0.35) % 0.7 - 0.35
+        assert np.abs(off_s).max() < 0.03
+
+
+def test_moments_of_one_log_may_be_anything():
+    """One that somebody nudged, say."""
+    outages = {"duration_s": 0.02, "period_s": 0.7}
+    effect = {"name": "driver_outage", "parameters": outages, "wheel": 3}
+    struck, *_ = logs_of(truth_case((effect,)))
+    _, *calm = logs_of(truth_case())
+    assert moments_in([replace(struck, name="run_0"), *calm]) == []

@@ -1,0 +1,77 @@
+"""Does the robot do something for moments that its commands do not tell?
+
+What is missing may last no longer than a moment: drivers that coast when their watchdog trips, that
+hold a duty while a message is lost, that are blind after a reversal. Over the whole of the logs it
+gains little, nothing predicts it, and the noise that is tuned holds it; but chance does not jump.
+As for pushes (events.py), g is the likelihood ratio of a jump before each row, here of the four
+shafts' speeds: chi-squared with 4 degrees of freedom where nothing happened. A moment is a peak of
+g that stands out from chance and from its run's own level. Where a command jumps it is none, for
+the mean of a row does not tell when within the row it did, nor where rows were lost. A few moments
+in two logs or more say that something is there.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from omnislip.gap.events import COMMAND_JUMP, SPAN_ROWS, Jumps, peaks
+from omnislip.gap.machine import Machine
+from omnislip.gap.noise import SHAFT, Noise, track_all
+from omnislip.gap.recordings import Run
+from omnislip.gap.side_by_side import side_by_side
+
+Array = npt.NDArray[np.float64]
+
+HORIZON_S = 0.03
+LEAST_RATIO, OVER_LEVEL = 35.0, 6.0
+"""g beyond which chance makes one in 300 sets of logs (p = 5e-7 a row), and factor by which it must
+exceed the 80th percentile of its run."""
+LEAST_MOMENTS, LEAST_LOGS = 3, 2
+LOST = 1.5
+"""Rows after which the next one comes late."""
+
+
+@dataclass(frozen=True)
+class Moment:
+    """When shafts were suddenly faster or slower than the model says, and by how much."""
+
+    run: str
+    time_s: float
+    ratio: float
+    jump_rad_s: Array
+    """(wheels,)"""
+
+
+def find_moments(
+    machine: Machine, runs: Sequence[Run], values: Array, noise: Noise
+) -> list[Moment]:
+    """Return the moments in runs beside a model of flat `values`; none if they are too few."""
+    if machine.kind != "robot":
+        return []
+    found = side_by_side(lambda run: _moments_in(machine, run, values, noise), runs)
+    moments = [moment for own in found for moment in own]
+    logs = {moment.run for moment in moments}
+    return moments if len(moments) >= LEAST_MOMENTS and len(logs) >= LEAST_LOGS else []
+
+
+def _moments_in(machine: Machine, run: Run, values: Array, noise: Noise) -> list[Moment]:
+    [track] = track_all(machine, [run], values, noise, keep_linear=True)
+    jumps = Jumps(machine, run, track, SHAFT, HORIZON_S)
+    ratio, jump, _ = jumps.ratios()
+    level = float(np.percentile(ratio[jumps.first :], 80))
+    unsure = _unsure(run)
+    return [
+        Moment(run.name, float(run.t_s[row]), float(ratio[row]), jump[row])
+        for row in sorted(peaks(run.t_s, ratio, max(LEAST_RATIO, OVER_LEVEL * level)))
+        if not unsure[row]
+    ]
+
+
+def _unsure(run: Run) -> npt.NDArray[np.bool_]:
+    """Rows (rows,) beside which it is not known what was commanded when."""
+    jumped = np.abs(np.diff(run.command, axis=0, prepend=run.command[:1])).max(axis=1)
+    lost = np.diff(run.t_s, prepend=run.t_s[0] - run.row_s) > LOST * run.row_s
+    beside = np.ones(2 * SPAN_ROWS + 1)
+    return np.convolve((jumped > COMMAND_JUMP) | lost, beside, mode="same") > 0
