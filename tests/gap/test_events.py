@@ -226,18 +226,21 @@ def _pieces(machine, logs):
 
 
 @pytest.mark.parametrize(
-    ("gain", "explained", "misfit", "confirmed"),
+    ("gain", "explained", "misfit", "speed_m_s", "seen", "confirmed"),
     [
-        (1e3, 0.85, 5.0, True),
-        (1e3, 0.85, 27.0, False),  # something else happened
-        (1e5, 0.97, 27.0, True),  # a hard push that lasts
-        (1e5, 0.75, 5.0, False),  # wheels that break loose
-        (50.0, 0.97, 1.0, False),
+        (1e3, 0.85, 5.0, 0.1, True, True),
+        (1e3, 0.85, 27.0, 0.1, True, False),  # something else happened
+        (1e5, 0.97, 27.0, 0.1, False, True),  # a push that lasts
+        (1e5, 0.92, 27.0, 0.1, True, False),
+        (1e5, 0.92, 27.0, 0.3, True, True),  # a hard one moves the robot meanwhile
+        (1e5, 0.92, 27.0, 0.3, False, False),
+        (1e5, 0.75, 5.0, 0.3, True, False),  # wheels that break loose
+        (50.0, 0.97, 1.0, 0.1, True, False),
     ],
 )
-def test_the_plant_confirms_a_push(gain, explained, misfit, confirmed):
-    deviations = np.full(3, 0.3)
-    push = Impact("run_01", 1.0, np.ones(3), deviations, 0.0, misfit, gain, explained)
+def test_the_plant_confirms_a_push(gain, explained, misfit, speed_m_s, seen, confirmed):
+    deviations, jump = np.full(3, 0.3), np.array([speed_m_s, 0.0, 0.0])
+    push = Impact("run_01", 1.0, np.ones(3), deviations, 0.0, misfit, gain, explained, jump, seen)
     assert push.confirmed == confirmed
 
 
