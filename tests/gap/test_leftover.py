@@ -22,6 +22,7 @@ from omnislip.gap.search import believed_hypothesis, settle
 from omnislip.gap.terms import BODY_SHAPES, dictionary, nameless, swing_terms
 from omnislip.gap.truth import TruthCase
 from omnislip.gap.truth_effects import typical_effect
+from omnislip.log_file import POSE_COLUMNS
 from omnislip.model_file import NOMINAL_ROBOT, read_model
 from truth_bench import logs_of
 
@@ -81,17 +82,23 @@ def test_a_floor_of_waves_is_named_with_their_length():
     assert abs(int(words["world/force_y"][-2])) == pytest.approx(90, abs=15)
 
 
-@pytest.mark.parametrize("swing_hz", [1.2, 3.3])
-def test_a_load_that_swings_is_named_with_its_frequency(logs, swing_hz):
-    """The residuals are moved by what 0.3 of the robot's mass on a spring would do to them."""
+@pytest.mark.parametrize(
+    ("kind", "swing_hz", "size"),
+    [("world/force", 1.2, 0.3), ("world/force", 3.3, 0.3), ("camera", 7.5, 0.5 / 47.0**2)],
+)
+def test_a_load_or_marker_that_swings_is_named_with_its_frequency(logs, kind, swing_hz, size):
+    """The residuals are moved by what 0.3 of the robot's mass on a spring would do to them.
+
+    Or by half of what a marker moves on the robot.
+    """
     runs = [make_run(MACHINE, log) for log in logs]
     start = believed_hypothesis(MACHINE)
     data = Data(MACHINE, runs, tune_noise(MACHINE, runs, MACHINE.believed), start)
     fitted = fit(data, start)
-    free = responses(data, fitted, swing_terms("world/force", swing_hz, 0.05))
-    moved = replace(fitted, residual=fitted.residual + 0.3 * free.sum(axis=1))
+    free = responses(data, fitted, swing_terms(kind, swing_hz, 0.05))
+    moved = replace(fitted, residual=fitted.residual + size * free.sum(axis=1))
     found = find_leftover(data, moved, responses(data, moved, dictionary(MACHINE)))[0]
-    assert found.equation == "world/force"
+    assert found.equation == kind
     shown = re.search(r"swings at ([\d.]+) Hz", found.dependence)
     assert float(shown[1]) == pytest.approx(swing_hz, rel=0.1)
 
@@ -190,6 +197,44 @@ def test_a_marker_off_the_centre_is_named(logs, ahead_m, left_m, side):
     found = left_in([shown(log) for log in logs])
     dependence = f"heading, as of a marker {side} the centre"
     assert (found[0].equation, found[0].dependence) == ("camera", dependence)
+
+
+def camera_that_errs(log, error):
+    """A log whose camera shows x, y and heading besides what it sees there."""
+    shown = [log.columns[f"pose/{name}"] for name in ("x_m", "y_m", "theta_rad")]
+    moved = [own + off for own, off in zip(shown, error(log.t_s, *shown), strict=True)]
+    return replace(log, columns=log.columns | dict(zip(POSE_COLUMNS, moved, strict=True)))
+
+
+def late_row(t_s, x_m, y_m, heading_rad):
+    """A pose 20 ms later for every metre that its row is down: v 0.02 x."""
+    seen = ~np.isnan(x_m)
+    off = np.full((3, len(t_s)), np.nan)
+    for k, own in enumerate((x_m, y_m)):
+        off[k, seen] = 0.02 * x_m[seen] * np.gradient(own[seen], t_s[seen])
+    return off[0], off[1], 0.0
+
+
+def other_camera(t_s, x_m, y_m, heading_rad):
+    """5 mm to the left beyond the middle of the way."""
+    return 0.0, 0.005 * (x_m > np.nanmedian(x_m)), 0.0
+
+
+@pytest.mark.parametrize(
+    ("error", "equation", "dependence"),
+    [
+        (lambda t, x, y, a: (0.0, 0.0, 0.02 * np.sin(2 * a)), "camera/heading", "2 times the head"),
+        (lambda t, x, y, a: (0.0, 0.0, 0.02 * x), "camera/heading", "place x"),
+        (late_row, "camera", "velocity at place x"),
+        (other_camera, "camera/y", "side of x = "),
+    ],
+)
+def test_a_camera_that_errs_is_named_with_what_its_error_depends_on(
+    logs, error, equation, dependence
+):
+    found = left_in([camera_that_errs(log, error) for log in logs])[0]
+    assert found.equation == equation
+    assert dependence in found.dependence
 
 
 @pytest.mark.parametrize("hidden", ["quadratic_wheel_drag", "fifth_order_drag"])

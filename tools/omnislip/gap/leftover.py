@@ -49,6 +49,7 @@ from omnislip.gap.terms import (
     patterns,
     pull_term,
     pull_to,
+    side_terms,
     swing_terms,
     turned,
     wave_term,
@@ -65,11 +66,12 @@ are right in place perhaps, but wrong in shape."""
 IN_ITS_PLACE = 0.5
 """Share of an effect's gain that a term must take over to stand in its place."""
 MOST_SHAPES = 5
-SWINGS_HZ, SWING_DAMPING = 0.7 * 2.0 ** (np.arange(7) / 2.0), 0.1
+SWINGS_HZ, SWING_DAMPING = 0.7 * 2.0 ** (np.arange(9) / 2.0), 0.1
+FASTEST_HZ = {"world/force": 6.0, "body/moment": 6.0, "camera": 12.0}
 NEARER, NEARER_DAMPINGS = 2.0 ** np.array([-0.25, -0.125, 0.0, 0.125, 0.25]), (0.03, 0.1)
-"""0.7 to 5.6 Hz by a factor of 1.4; factors from the best of them, and damping ratios. What is
-faster or damped more hardly swings: it answers acceleration, as soft shafts do whose shape is a bit
-off (beside one it gained 700 at 8 Hz, damping ratio 0.3)."""
+"""0.7 to 11.2 Hz by a factor of 1.4; factors from the best of them, and damping ratios. A load that
+is faster, or damped more, hardly swings: it answers acceleration, as soft shafts do whose shape is
+a bit off (beside one it gained 700 at 8 Hz, damping ratio 0.3). Markers on masts are lighter."""
 SURE_SIZE = 2.0
 """Standard deviations from which half a run knows a size of its own."""
 MORE, MORE_P_VALUE = 1.1, 1e-3
@@ -86,6 +88,8 @@ WIDTHS_M = {"hill": (0.1, 0.2, 0.35), "pull": (0.05,)}
 AROUND_M = {"hill": 0.0, "pull": 1.0}
 """Between hills and other places that are tried, how many of them along a side at most, the share
 of what they do that another run has to feel, their widths, and how far off the way they may be."""
+SIDES = np.arange(12.5, 100.0, 12.5)
+"""Shares of the way, in percent, on one side of where another camera may begin to see."""
 NEARER_WAVES = np.stack(np.meshgrid(*[np.arange(-0.5, 0.75, 0.25)] * 2), axis=-1).reshape(-1, 2)
 
 
@@ -325,11 +329,15 @@ def _groups(terms: Sequence[Term]) -> dict[tuple[str, str], list[int]]:
 def _swings_looked_for(
     data: Data, fitted: Fit, tracks: Sequence[_core.Track]
 ) -> tuple[list[Term], Array]:
-    """Return the load that swings and explains most, as a force and as a moment: terms, responses.
+    """Return the load or marker that swings and explains most, of each kind: terms, responses.
 
     The best of all frequencies, then of those and of dampings beside it.
     """
-    offered = [(kind, hz, SWING_DAMPING) for kind in SWINGING for hz in SWINGS_HZ]
+    offered = [
+        (kind, hz, SWING_DAMPING)
+        for kind in SWINGING
+        for hz in SWINGS_HZ[FASTEST_HZ[kind] > SWINGS_HZ]
+    ]
     for nearer in (True, False):
         terms = [term for one in offered for term in swing_terms(*one)]
         free = responses(data, fitted, terms, tracks)
@@ -397,6 +405,9 @@ def _looked_for(data: Data, tracks: Sequence[_core.Track]) -> tuple[list[Term], 
         terms, placed = terms + found, placed + tried
     for equation, power in zip(BEATING, in_time, strict=True):
         terms += beat_terms(equation, float(BEATS_HZ[np.argmax(power)]))
+    for axis, along in enumerate(np.concatenate(places).T):
+        for edge_m in np.percentile(along, SIDES):
+            terms += side_terms(axis, float(edge_m))
     waves = 2 * PHASES * (len(numbers) + len(NEARER_WAVES))
     return terms, waves + in_time.size + placed
 

@@ -18,12 +18,13 @@ from omnislip.gap.noise import no_load_speed_rad_s
 
 Array = npt.NDArray[np.float64]
 
-SHAFT_ORDERS, WHEEL_ORDERS = range(2, 13), range(1, 7)
+SHAFT_ORDERS, WHEEL_ORDERS, HEADING_ORDERS = range(2, 13), range(1, 7), (1, 2)
 SLOW_RAD_S, SLOW_M_S, SMALL_SHARE = 2.0, 0.05, 0.02
-GYRO, CAMERA = 4, (5, 6)
-SUPPLY_LAGS_S, WARM_S = (0.02, 0.2, 2.0), (0.5, 2.0, 8.0)
+GYRO, CAMERA, CAMERA_HEADING = 4, (5, 6), 7
+SUPPLY_LAGS_S, WARM_S, COMMAND_LAGS_S = (0.02, 0.2, 2.0), (0.5, 2.0, 8.0), (0.02, 0.1)
+EDGE_M, SLOW_YAW_RAD_S = 0.02, 0.05
 EVERYWHERE = {"every wheel": (0, 1, 2, 3), **{f"wheel/{i + 1}": (i,) for i in range(4)}}
-SWINGING = ("world/force", "body/moment")
+SWINGING = ("world/force", "body/moment", "camera")
 BEATING = ("world/force_x", "world/force_y", "every wheel/torque")
 
 
@@ -116,6 +117,7 @@ def nameless(machine: Machine) -> list[Term]:
         terms += _angle_terms(f"wheel/{i + 1}/torque", angles, states=(i,))
         terms += _angle_terms(f"encoder/{i + 1}/angle", angles, outputs=(i,))
         terms += _roller_terms(machine, i)
+    terms += _heading_terms()
     return terms + [
         Term("every wheel/torque", name, (0, 1, 2, 3), shape, over=Quantity(name, "1", shape))
         for name, shape in _supply_shapes(no_load_rad_s).items()
@@ -215,13 +217,16 @@ def _angle_terms(
     factor: Callable[[Array], Array] = np.ones_like,
 ) -> list[Term]:
     """Waves over each of the angles, times a function of the shafts' speeds."""
+    one_wheel = "every" not in equation  # each wheel stands where it stands
     terms = []
     for name, ratio in angles.items():
 
         def of(x: Array, d: Array, t: Array, i: int, ratio: float = ratio) -> Array:
             return ratio * x[:, 4 + i]
 
-        terms += _two_phases(equation, name, of, lambda x, i: factor(x[:, i]), states, outputs)
+        terms += _two_phases(
+            equation, name, of, lambda x, i: factor(x[:, i]), states, outputs, one_wheel
+        )
     return terms
 
 
@@ -232,9 +237,9 @@ def _two_phases(
     factor: Callable[[Array, int], Array],
     states: tuple[int, ...],
     outputs: tuple[int, ...] = (),
+    turning: bool = True,
 ) -> list[Term]:
     """Sine and cosine of an angle, times a function of the state and of what is pushed."""
-    one_wheel = "every" not in equation  # each wheel stands where it stands
 
     def shape(x: Array, d: Array, t: Array, i: int, wave: str) -> Array:
         return WAVES[wave](of(x, d, t, i)) * factor(x, i)
@@ -248,7 +253,7 @@ def _two_phases(
             partial(shape, wave=wave),
             outputs,
             name,
-            turning=one_wheel,
+            turning=turning,
             over=angle,
         )
         for wave in WAVES
@@ -276,6 +281,32 @@ def _roller_terms(machine: Machine, wheel: int) -> list[Term]:
         lambda x, state: roller_friction(machine, wheel, x)[state],
         (8, 9),
     )
+
+
+def _heading_terms() -> list[Term]:
+    """What a camera says of the heading besides: by that itself, or by the place."""
+    terms = [
+        Term(
+            "camera/heading", f"place {axis}", (), partial(_column, state=state), (CAMERA_HEADING,)
+        )
+        for axis, state in (("x", 11), ("y", 12))
+    ]
+    for order in HEADING_ORDERS:
+        name = "the heading" if order == 1 else f"{order} times the heading"
+        terms += _two_phases(
+            "camera/heading",
+            name,
+            lambda x, d, t, i, order=order: order * x[:, 13],
+            lambda x, i: np.ones(len(x)),
+            (),
+            (CAMERA_HEADING,),
+            turning=False,
+        )
+    return terms
+
+
+def _column(x: Array, d: Array, t: Array, i: int, state: int) -> Array:
+    return x[:, state]
 
 
 def hill_slope(off: Array) -> Array:
@@ -316,6 +347,19 @@ def _placed_term(
     return Term("world/force", dependence, (8, 9), force)
 
 
+def side_terms(axis: int, edge_m: float) -> list[Term]:
+    """What a camera shows besides where another one begins to see: place and heading off a bit."""
+
+    def side(x: Array, d: Array, t: Array, i: int) -> Array:
+        return np.tanh((x[:, 11 + axis] - edge_m) / EDGE_M)
+
+    dependence = f"side of {'xy'[axis]} = {edge_m:.2f} m"
+    return [
+        Term(f"camera/{shown}", dependence, (), side, (output,))
+        for shown, output in zip(("x", "y", "heading"), (*CAMERA, CAMERA_HEADING), strict=True)
+    ]
+
+
 MOTOR_SHAPES: dict[str, Callable[..., Array]] = {
     "change of the command, by its size": lambda x, d, t, i: (
         np.mean(np.abs(d), axis=1) * np.diff(d[:, i], prepend=d[0, i])
@@ -324,6 +368,13 @@ MOTOR_SHAPES: dict[str, Callable[..., Array]] = {
         f"command of the {name} wheel": lambda x, d, t, i, further=further: d[:, (i + further) % 4]
         for further, name in ((1, "next"), (2, "opposite"), (3, "previous"))
     },
+    **{
+        f"command, {lag_s:g} s late": lambda x, d, t, i, lag_s=lag_s: _late(t, d[:, i], lag_s)
+        for lag_s in COMMAND_LAGS_S
+    },
+    "angle turned, against rotation": lambda x, d, t, i: (
+        x[:, 4 + i] * np.tanh(x[:, i] / SLOW_RAD_S)
+    ),
 }
 
 
@@ -389,7 +440,14 @@ def swings(time_s: Array, speed: Array, swing_hz: float, damping: float, part: s
 
 
 def swing_terms(kind: str, swing_hz: float, damping: float) -> list[Term]:
-    """What a load that swings in the body does to it, by its place and by its speed."""
+    """What a load that swings in the body does to it, by its place and by its speed.
+
+    Or what a camera shows of a marker that swings.
+    """
+
+    def shown(x: Array, d: Array, t: Array, output: int, part: str) -> Array:
+        velocity = turned(x[:, 13], x[:, 8:10])[:, output - CAMERA[0]]
+        return swings(t, velocity, swing_hz, damping, part)
 
     def force(x: Array, d: Array, t: Array, state: int, part: str) -> Array:
         velocity = turned(x[:, 13], x[:, 8:10])
@@ -399,15 +457,20 @@ def swing_terms(kind: str, swing_hz: float, damping: float) -> list[Term]:
     def moment(x: Array, d: Array, t: Array, state: int, part: str) -> Array:
         return swings(t, x[:, state], swing_hz, damping, part)
 
-    states, shape = {"world/force": ((8, 9), force), "body/moment": ((10,), moment)}[kind]
-    load = f"a load that swings at {swing_hz:.3g} Hz, damping ratio {damping:g}"
+    states, outputs, shape = {
+        "world/force": ((8, 9), (), force),
+        "body/moment": ((10,), (), moment),
+        "camera": ((), CAMERA, shown),
+    }[kind]
+    what = "load" if states else "marker"
+    load = f"a {what} that swings at {swing_hz:.3g} Hz, damping ratio {damping:g}"
     return [
         Term(
             kind,
             f"{part} of {load}",
             states,
             partial(shape, part=part),
-            (),
+            outputs,
             load,
             swing=(swing_hz, damping),
         )
@@ -471,6 +534,8 @@ GYRO_SHAPES: dict[str, Callable[..., Array]] = {
     "speed along x": lambda x, d, t, i: x[:, 8],
     "speed along y": lambda x, d, t, i: x[:, 9],
     "yaw rate squared": lambda x, d, t, i: x[:, 10] * np.abs(x[:, 10]),
+    "slow yaw rate": lambda x, d, t, i: x[:, 10] * np.exp(-((x[:, 10] / SLOW_YAW_RAD_S) ** 2)),
+    "shaft speeds squared": lambda x, d, t, i: np.mean(x[:, :4] ** 2, axis=1),
     "time": lambda x, d, t, i: t,
 }
 
@@ -481,6 +546,12 @@ CAMERA_SHAPES: dict[str, Callable[..., Array]] = {
     "place x": lambda x, d, t, i: x[:, 6 + i] * x[:, 11],
     "place y": lambda x, d, t, i: x[:, 6 + i] * x[:, 12],
     "axis": lambda x, d, t, i: x[:, 6 + i] * (1.0 if i == 5 else -1.0),
+    "velocity at place x, as of a row that is read later": lambda x, d, t, i: (
+        turned(x[:, 13], x[:, 8:10])[:, i - 5] * x[:, 11]
+    ),
+    "velocity at place y, as of a row that is read later": lambda x, d, t, i: (
+        turned(x[:, 13], x[:, 8:10])[:, i - 5] * x[:, 12]
+    ),
     "heading, as of a marker ahead of the centre": lambda x, d, t, i: np.cos(
         x[:, 13] - (i == 6) * np.pi / 2
     ),

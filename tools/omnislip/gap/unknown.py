@@ -515,13 +515,15 @@ def _odometry_equations(machine: Machine) -> list[Equation]:
 
 
 def _swinging(one: Leftover, machine: Machine, values: Array) -> Unknown:
-    """Curve and formula of a load that swings: what a stop from 1 m/s, or 1 rad/s, sets going."""
+    """Curve and formula of a load or marker that swings: what a stop from 1 m/s or 1 rad/s sets
+    going."""
     swing_hz, damping = one.terms[0].swing
     mass, inertia, _ = machine.inertias(values)
-    moves = one.equation == "world/force"
-    symbol, unit, speed, own = (
-        ("force", "N", "m/s", mass) if moves else ("moment", "N m", "rad/s", inertia)
-    )
+    symbol, unit, speed, own = {
+        "world/force": ("force", "N", "m/s", mass),
+        "body/moment": ("moment", "N m", "rad/s", inertia),
+        "camera": ("place shown", "m", "m/s", 1.0),
+    }[one.equation]
     x = np.linspace(0.0, SWINGS_SHOWN / swing_hz, SWING_POINTS)
     stop = np.where(x > 0, -1.0, 0.0)
     parts = [term.dependence.split()[0] for term in one.terms]
