@@ -19,7 +19,7 @@ from omnislip.gap.machine import Machine
 from omnislip.gap.noise import tune_noise
 from omnislip.gap.recordings import make_run, unwrap_counts
 from omnislip.gap.search import believed_hypothesis, settle
-from omnislip.gap.terms import BODY_SHAPES, dictionary, nameless, swing_terms
+from omnislip.gap.terms import BODY_SHAPES, Term, dictionary, nameless, swing_terms
 from omnislip.gap.truth import TruthCase
 from omnislip.gap.truth_effects import typical_effect
 from omnislip.log_file import POSE_COLUMNS
@@ -115,6 +115,25 @@ def test_rollers_that_turn_badly_at_a_place_of_the_wheel_are_named(logs):
     moved = replace(fitted, residual=fitted.residual + 0.5 * column)
     found = find_leftover(data, moved, responses(data, moved, dictionary(MACHINE)))[0]
     assert (found.equation, found.dependence) == name
+
+
+def test_what_sets_in_beyond_a_threshold_is_named_though_that_is_not_known(logs):
+    """The residuals are moved by what a governor on wheel 2 would do above 85 % of all speeds."""
+    runs = [make_run(MACHINE, log) for log in logs]
+    start = believed_hypothesis(MACHINE)
+    data = Data(MACHINE, runs, tune_noise(MACHINE, runs, MACHINE.believed), start)
+    fitted = fit(data, start)
+    speeds = np.concatenate([np.abs(np.diff(r.outputs[:, 1]) / np.diff(r.t_s)) for r in runs])
+    least = np.nanpercentile(speeds, 85)
+
+    def governed(x, d, t, i):
+        return -np.sign(x[:, i]) * np.maximum(np.abs(x[:, i]) - least, 0.0)
+
+    [column] = responses(data, fitted, [Term("wheel/2/torque", "governor", (1,), governed)]).T
+    moved = replace(fitted, residual=fitted.residual + 25.0 / np.linalg.norm(column) * column)
+    found = find_leftover(data, moved, responses(data, moved, dictionary(MACHINE)))[0]
+    assert found.equation == "wheel/2/torque"
+    assert "speed beyond" in found.dependence
 
 
 @settings(max_examples=20, deadline=None)

@@ -117,7 +117,7 @@ STABLE = 0.9
 WEAK_SHARE = 1e-2
 """Square of how far the other effects may be off what they do before they leave as much as a name
 gains, below which it carries a caution; below a tenth of this the search gives none."""
-LEAST_REST = 100.0
+LEAST_REST = 80.0
 """Gain beyond chance that a leftover term must have at least: where nothing is missing, how
 commands moved within rows leaves up to 60 in violent driving."""
 IN_PLACES, IN_PLACES_SHARE = 300.0, 0.02

@@ -42,6 +42,7 @@ from omnislip.gap.terms import (
     SWINGING,
     Term,
     beat_terms,
+    beyond_terms,
     dictionary,
     hill_slope,
     hill_term,
@@ -364,10 +365,11 @@ def _looked_for(data: Data, tracks: Sequence[_core.Track]) -> tuple[list[Term], 
     Of waves in place a cos(k r) + b sin(k r) by least squares; beats in time have another phase in
     every run, and their powers add.
     """
-    places, forces = [], []
+    states, places, forces = [], [], []
     in_time = np.zeros((len(BEATING), len(BEATS_HZ)))
     for run, track in zip(data.runs, tracks, strict=True):
         state = track.state.reshape(len(run.t_s), -1)
+        states.append(state)
         seen = state[:, DISTURBANCES]
         force = turned(state[:, 13], seen[:, 4:6])
         force -= force.mean(axis=0)
@@ -408,6 +410,8 @@ def _looked_for(data: Data, tracks: Sequence[_core.Track]) -> tuple[list[Term], 
     for axis, along in enumerate(np.concatenate(places).T):
         for edge_m in np.percentile(along, SIDES):
             terms += side_terms(axis, float(edge_m))
+    commands = np.concatenate([run.command for run in data.runs])
+    terms += beyond_terms(data.machine, np.concatenate(states), commands)
     waves = 2 * PHASES * (len(numbers) + len(NEARER_WAVES))
     return terms, waves + in_time.size + placed
 

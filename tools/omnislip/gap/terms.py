@@ -17,11 +17,14 @@ from omnislip.gap.machine import Machine
 from omnislip.gap.noise import no_load_speed_rad_s
 
 Array = npt.NDArray[np.float64]
+Of = Callable[[Array, Array], Array]
+"""(state (rows, n), command (rows, motors)) -> (rows, motors)"""
 
 SHAFT_ORDERS, WHEEL_ORDERS, HEADING_ORDERS = range(2, 13), range(1, 7), (1, 2)
 SLOW_RAD_S, SLOW_M_S, SMALL_SHARE = 2.0, 0.05, 0.02
 GYRO, CAMERA, CAMERA_HEADING = 4, (5, 6), 7
 SUPPLY_LAGS_S, WARM_S, COMMAND_LAGS_S = (0.02, 0.2, 2.0), (0.5, 2.0, 8.0), (0.02, 0.1)
+BEYOND_PERCENT = (75.0, 95.0)
 EDGE_M, SLOW_YAW_RAD_S = 0.02, 0.05
 EVERYWHERE = {"every wheel": (0, 1, 2, 3), **{f"wheel/{i + 1}": (i,) for i in range(4)}}
 SWINGING = ("world/force", "body/moment", "camera")
@@ -345,6 +348,38 @@ def _placed_term(
         return turned(-x[:, 13], pushed)[:, state - 8]
 
     return Term("world/force", dependence, (8, 9), force)
+
+
+def beyond_terms(machine: Machine, states: Array, commands: Array) -> list[Term]:
+    """What sets in where motors draw, turn or are driven more than in most of some rows.
+
+    Limits, trips and governors, whose thresholds nobody knows: of `states` (rows, n) with
+    `commands` (rows, motors) as many as `BEYOND_PERCENT` are below.
+    """
+    no_load_rad_s = no_load_speed_rad_s(machine)
+    quantities: dict[str, Of] = {
+        "current": lambda x, d: _current(x, d, no_load_rad_s),
+        "speed": lambda x, d: x[:, :4],
+        "command": lambda x, d: d,
+    }
+    terms = []
+    for name, of in quantities.items():
+        for percent in BEYOND_PERCENT:
+            least = float(np.percentile(np.abs(of(states, commands)), percent))
+
+            def shape(
+                x: Array, d: Array, t: Array, i: int, of: Of = of, least: float = least
+            ) -> Array:
+                value = of(x, d)[:, i]
+                return np.sign(value) * np.maximum(np.abs(value) - least, 0.0)
+
+            shown = f"{least:.3g}" + (" rad/s" if name == "speed" else " of full")
+            dependence = f"{name} beyond {shown}"
+            terms += [
+                Term(f"{where}/torque", dependence, wheels, shape)
+                for where, wheels in EVERYWHERE.items()
+            ]
+    return terms
 
 
 def side_terms(axis: int, edge_m: float) -> list[Term]:
