@@ -6,17 +6,18 @@ from functools import partial
 import numpy as np
 import pytest
 from omnislip.gap import predictable, truth
-from omnislip.gap.find import LASTING_SHARES, PREDICTED_SHARE
+from omnislip.gap.find import LASTING_SHARES, PREDICTED_SHARE, SENSOR_SHARE
 from omnislip.gap.machine import Machine
 from omnislip.gap.predictable import EQUATIONS, predictable_shares
-from omnislip.gap.recordings import make_run
+from omnislip.gap.recordings import ELECTRIC_CHANNELS, ROBOT_CHANNELS, make_run
 from omnislip.gap.search import believed_hypothesis, settle
 from omnislip.gap.truth import TruthCase
+from omnislip.log_file import POSE_COLUMNS
 from omnislip.model_file import NOMINAL_ROBOT, read_model
 from omnislip.scenario import read_scenario
 from omnislip.simulate import run_scenario
 from scipy.signal import lfilter
-from truth_bench import runs_of
+from truth_bench import logs_of, runs_of
 
 
 def shares_of(effects=(), runs=6, seed=3, **changed):
@@ -43,7 +44,7 @@ def shares_in(machine, logs):
 
 def test_chance_cannot_be_predicted():
     found = shares_of()
-    assert {one.equation for one in found} == set(EQUATIONS)
+    assert {one.equation for one in found} == {*EQUATIONS, *ROBOT_CHANNELS}
     assert found[0].share < 0.05
     assert max(one.share for one in found if one.from_own_past) < 0.011
 
@@ -135,6 +136,51 @@ def test_what_lasts_is_no_chance_whatever_it_goes_with():
     for ahead_s, least in LASTING_SHARES.items():
         assert max(one.share for one in found if one.ahead_s == ahead_s) > 1.5 * least
     assert found[0].runs_helped > found[0].runs / 2
+
+
+ELECTRIC = ("gyro", "pose", "supply", "current")
+
+
+def shares_of_sensors(effects=(), bend=None):
+    """Shares of the sensors' innovations; `bend` changes the logs."""
+    case = TruthCase(
+        3, effects=effects, runs=5, run_duration_s=4.0, base_offset_sd=0.0, sensors=ELECTRIC
+    )
+    logs = [bend(log) if bend else log for log in logs_of(case)]
+    machine = Machine(read_model(NOMINAL_ROBOT), electric=True)
+    found = shares_in(machine, [make_run(machine, log) for log in logs])
+    return {one.equation: one for one in found if one.equation not in EQUATIONS}
+
+
+def test_innovations_of_sensors_tell_nothing_of_themselves():
+    found = shares_of_sensors()
+    assert set(found) == {*ROBOT_CHANNELS, *ELECTRIC_CHANNELS}
+    assert max(one.share for one in found.values()) < SENSOR_SHARE / 2
+
+
+def test_a_supply_that_sways_on_its_own_is_no_noise_of_its_sensor():
+    """By 4 % at 2.3 Hz: the robot is driven by what was measured, and lacks nothing."""
+    ripple = {"name": "supply_ripple", "parameters": {"amplitude": 0.04, "frequency_hz": 2.3}}
+    found = shares_of_sensors((ripple,))["supply/voltage_v"]
+    assert found.share > SENSOR_SHARE
+    assert found.runs_helped > found.runs / 2
+
+
+def test_a_slow_camera_that_sways_is_asked_by_its_readings():
+    """At 10 Hz: what is read between two poses must not hold the later one."""
+
+    def slow(log, sway_m=0.0):
+        rows = np.flatnonzero(~np.isnan(log.columns["pose/x_m"]))
+        left = np.delete(np.arange(len(log.t_s)), rows[::5])
+        columns = {name: log.columns[name].copy() for name in POSE_COLUMNS}
+        columns["pose/x_m"] += sway_m * np.sin(2.0 * np.pi * 0.7 * log.t_s)
+        for column in columns.values():
+            column[left] = np.nan
+        return replace(log, columns=log.columns | columns)
+
+    assert shares_of_sensors(bend=slow)["pose/x_m"].share < SENSOR_SHARE / 2
+    swaying = partial(slow, sway_m=0.01)
+    assert shares_of_sensors(bend=swaying)["pose/x_m"].share > SENSOR_SHARE
 
 
 @pytest.mark.parametrize("runs", [1, 2])

@@ -20,6 +20,10 @@ the disturbances' own past is asked too, linearly. (Chance of a bandwidth of 10 
 itself after 60 ms, of 3 Hz a tenth, of 1.6 Hz 0.3, and after 120 ms the square of that: find.py
 asks for more. A load that swings tells as much of itself after 120 ms, where it swings back.)
 
+What sensors show besides need not move the robot: a supply that dips, a marker on a mast that
+sways. Innovations of a sensor are white where nothing is missing, and tell at most 1 % of
+themselves after 60 ms (or three readings of a slow one). They are asked for their own past, too.
+
 No term has to be guessed beforehand, so this finds hysteresis, products and thresholds too; it does
 not say what they are (unknown.py tries to). Beside effects that explain nearly everything a small
 rest may well be predictable, for no shape is exact: then the share is one of `REST` of the
@@ -28,7 +32,7 @@ friction is off by goes on as long as wheels slide, so the share is taken of no 
 `FRICTION_SHARE` of what friction does.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -57,6 +61,8 @@ FOLDS = 4
 LEAST_RUNS = 3
 OWN_PASTS_S = ((0.06, 0.09, 0.13, 0.18), (0.12, 0.15, 0.18, 0.24))
 """At the first of each most chance has faded, at the last what goes on for longer still shows."""
+SENSOR_PAST_S, LEAST_READINGS = OWN_PASTS_S[0], 3
+"""Own past of a sensor, and how many readings earlier it ends at least."""
 REST = 0.2
 SEEN = 1e-3
 """Share of the variance that the noise allows below which the filter saw no disturbances: what it
@@ -75,9 +81,10 @@ TREES = {"max_iter": 50, "learning_rate": 0.1, "max_leaf_nodes": 8, "min_samples
 
 @dataclass(frozen=True)
 class Predictable:
-    """Share of the disturbances of one equation that is predicted, from their own past or from what
-    the robot did, as learned on other runs; in how many runs that is nearer than nothing, of those
-    that hold disturbances enough: a hollow in the floor stirs the runs that come by."""
+    """Share of the disturbances of one equation, or of the innovations of one sensor, that is
+    predicted, from their own past or from what the robot did, as learned on other runs; in how many
+    runs that is nearer than nothing, of those that hold enough of them: a hollow in the floor stirs
+    the runs that come by."""
 
     equation: str
     from_own_past: bool
@@ -109,7 +116,8 @@ def predictable_shares(
     gear = float(machine.model.values["motor.gear_ratio"])
     tracks = track_all(machine, runs, values, noise, keep_linear=True)
     after = _states(runs, tracks)
-    before = _states(runs, track_all(machine, runs, without, noise))
+    unnamed = track_all(machine, runs, without, noise)
+    before = _states(runs, unnamed)
     for run, track, state, unexplained in zip(runs, tracks, after, before, strict=True):
         rows = _sparse_rows(run)
         seen = np.maximum(rows - lead_rows(run), 0) if answers else rows
@@ -124,31 +132,80 @@ def predictable_shares(
     least = REST * np.sum(np.concatenate(there) ** 2, axis=0)
     least = np.maximum(least, SEEN * noise.coloured * len(y))
     least = np.maximum(least, FRICTION_SHARE * np.sum(np.concatenate(friction) ** 2, axis=0))
-    folds = [range(first, len(names), FOLDS) for first in range(min(FOLDS, len(names)))]
 
     def shares_of(index: int) -> list[Predictable]:
-        target, found = y[:, index], []
-        whole = np.bincount(owner, target**2, minlength=len(names))
-        for known, predicted, ahead_s in (
-            (x, _by_trees, 0.0),
-            (later[:, index], _by_line, OWN_PASTS_S[0][0]),
-            (latest[:, index], _by_line, OWN_PASTS_S[1][0]),
-        ):
-            error = np.empty_like(target)
-            for fold in folds:
-                unseen = np.isin(owner, list(fold))
-                learned = predicted(known[~unseen], target[~unseen], known[unseen])
-                error[unseen] = target[unseen] - learned
-            left = np.bincount(owner, error**2, minlength=len(names))
-            share = float((whole.sum() - left.sum()) / max(whole.sum(), least[index], 1e-300))
-            stirred = whole >= STIRRED * whole.mean()
-            helped, by_line = int(np.sum(left[stirred] < whole[stirred])), predicted is _by_line
-            voters = int(stirred.sum())
-            found.append(Predictable(EQUATIONS[index], by_line, ahead_s, share, helped, voters))
-        return found
+        return [
+            _share(EQUATIONS[index], y[:, index], owner, known, predicted, ahead_s, least[index])
+            for known, predicted, ahead_s in (
+                (x, _by_trees, 0.0),
+                (later[:, index], _by_line, OWN_PASTS_S[0][0]),
+                (latest[:, index], _by_line, OWN_PASTS_S[1][0]),
+            )
+        ]
 
     shares = side_by_side(shares_of, range(len(EQUATIONS)))
-    return sorted((one for own in shares for one in own), key=lambda one: -one.share)
+    found = [one for own in shares for one in own]
+    found += _of_sensors(runs, tracks, unnamed, names)
+    return sorted(found, key=lambda one: -one.share)
+
+
+def _share(
+    equation: str,
+    target: Array,
+    owner: npt.NDArray[np.int64],
+    known: Array,
+    predicted: Callable[[Array, Array, Array], Array],
+    ahead_s: float,
+    least: float,
+) -> Predictable:
+    """Learn a target (rows,) from what is known (rows, features), log by log (`owner`, rows)."""
+    logs = int(owner.max()) + 1
+    whole = np.bincount(owner, target**2, minlength=logs)
+    error = np.empty_like(target)
+    for first in range(min(FOLDS, logs)):
+        unseen = owner % FOLDS == first
+        learned = predicted(known[~unseen], target[~unseen], known[unseen])
+        error[unseen] = target[unseen] - learned
+    left = np.bincount(owner, error**2, minlength=logs)
+    share = float((whole.sum() - left.sum()) / max(whole.sum(), least, 1e-300))
+    stirred = whole >= STIRRED * whole.mean()
+    helped, voters = int(np.sum(left[stirred] < whole[stirred])), int(stirred.sum())
+    return Predictable(equation, predicted is _by_line, ahead_s, share, helped, voters)
+
+
+def _of_sensors(
+    runs: Sequence[Run],
+    tracks: Sequence[_core.Track],
+    unnamed: Sequence[_core.Track],
+    names: Sequence[str],
+) -> list[Predictable]:
+    """Return the share of each sensor's innovations that their own past tells.
+
+    `tracks` are those of the final model, `unnamed` of the one without effects.
+    """
+    found = []
+    for output, channel in enumerate(runs[0].channels):
+        targets, pasts, owners, there = [], [], [], 0.0
+        for run, track, before in zip(runs, tracks, unnamed, strict=True):
+            rows = np.flatnonzero(~np.isnan(run.outputs[:, output]) & (run.t_s >= run.settled_s))
+            if len(rows) < 2:
+                continue
+            innovation, unexplained = (
+                own.innovation.reshape(run.outputs.shape)[rows, output] for own in (track, before)
+            )
+            t_s, interval_s = run.t_s[rows], float(np.median(np.diff(run.t_s[rows])))
+            slower = max(1.0, LEAST_READINGS * interval_s / SENSOR_PAST_S[0])
+            then_s = t_s[:, None] - slower * np.array(SENSOR_PAST_S)
+            pasts.append(np.interp(then_s, t_s, innovation) * (then_s >= t_s[0]))
+            targets.append(innovation)
+            owners.append(np.full(len(rows), names.index(run.name)))
+            there += float(np.sum(unexplained**2))
+        if len(np.unique(np.concatenate(owners or [[]]))) < LEAST_RUNS:
+            continue
+        target, past, owner = (np.concatenate(each) for each in (targets, pasts, owners))
+        ahead_s = SENSOR_PAST_S[0]
+        found.append(_share(channel, target, owner, past, _by_line, ahead_s, REST * there))
+    return found
 
 
 def _friction(machine: Machine, values: Array, state: Array, command: Array) -> Array:
