@@ -249,6 +249,15 @@ def test_a_size_that_is_not_the_same_throughout_is_no_name(inflation, variation,
     assert verdict_of([varying, selected("coulomb_friction", 1e5)]) == "effect_found"
 
 
+def test_a_size_that_varies_little_but_leaves_as_much_as_a_missing_term_is_no_name():
+    """A fifth of 1e4 leaves 400: more than a hundredth of it, less than that of 1e5."""
+    varying = selected("supply_sag", 1e4, 20.0, 0.2)
+    assert verdict_of([varying]) == "unknown_effect"
+    assert verdict_of([varying, selected("contact_shape", 1e5)]) == "unknown_effect"
+    assert verdict_of([varying, selected("coulomb_friction", 1e5)]) == "effect_found"
+    assert verdict_of([selected("contact_shape", 1e4, 20.0, 0.2)]) == "effect_found"
+
+
 @pytest.mark.parametrize(("law", "verdict"), [(700.0, "unknown_effect"), (800.0, "effect_found")])
 def test_a_curve_may_change_by_as_much_as_any_law_of_friction_is_off(law, verdict):
     """A size that changes by 0.6 leaves 0.36 of 2,000."""

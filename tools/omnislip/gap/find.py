@@ -143,10 +143,11 @@ gave 0.11 at most, loads that swing 0.23 to 0.51. Innovations of a sensor are wh
 with nothing missing they told 0.01 of themselves at most, those of a supply that dips on its own
 0.29, of a marker on a mast 0.33. More than half of the runs that hold disturbances
 have to be helped, two or more: some hardly excite what is missing."""
-VARIES, VARIES_SURELY = 1.0 / 3.0, 3.0
+VARIES, VARIES_SURELY, VARIED_REST = 1.0 / 3.0, 3.0, 100.0
 """Change of an effect's size from half second to half second, relative to itself, from which it is
-not what is there, even where that leaves little; and the inflation, 1 for white residuals, from
-which that is no chance. (68 right sets: what they left so was 0.036^2 of them at most.)"""
+not what is there, even where that leaves little; the inflation, 1 for white residuals, from which
+that is no chance; and what is no little any more. (68 right sets: what they left so was 173 and
+0.036^2 of them at most.)"""
 NAMELESS, NAMELESS_GAIN = 1.1, 50.0
 """How much more a nameless term must explain than a name in its place, and by what gain beyond
 chance: beside right names the best such term explains as much at most (1.0)."""
@@ -643,8 +644,8 @@ def _missing_terms(outcome: Outcome) -> list[Leftover]:
 def _varying(selected: Sequence[Selected]) -> list[Selected]:
     """Return the effects whose size is not the same throughout the logs, where that leaves much.
 
-    A size that varies by v leaves v^2 of its gain: as much as a missing term has to gain, or much
-    of what is named. What a weak effect leaves so is nothing beside stronger ones. The friction
+    A size that varies by v leaves v^2 of its gain: what a missing term may not gain, or much of
+    what is named. What a weak effect leaves so is nothing beside stronger ones. The friction
     curve, strong as it may be, covers nothing, and varies where nothing is missing; what any law of
     friction is off by is no news.
     """
@@ -653,7 +654,7 @@ def _varying(selected: Sequence[Selected]) -> list[Selected]:
     def least(one: Selected) -> float:
         much = VARIES**2 * max(named, one.evidence.gain)
         if one.candidate.effect != CURVE:
-            much = min(much, max(LEAST_REST, UNKNOWN_SHARE * named))
+            much = min(much, max(VARIED_REST, UNKNOWN_SHARE * named))
         return max(much, one.law_gain)
 
     return [
