@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from omnislip.gap.find import moment_words
 from omnislip.gap.machine import Machine
-from omnislip.gap.moments import LEAST_LOGS, LEAST_MOMENTS, find_moments
+from omnislip.gap.moments import LEAST_LOGS, LEAST_MOMENTS, Moment, find_moments
 from omnislip.gap.recordings import make_run
 from omnislip.gap.search import believed_hypothesis, settle
 from omnislip.gap.truth import TruthCase
@@ -61,3 +62,14 @@ def test_moments_of_one_log_may_be_anything():
     struck, *_ = logs_of(truth_case((effect,)))
     _, *calm = logs_of(truth_case())
     assert moments_in([replace(struck, name="run_0"), *calm]) == []
+
+
+def test_words_tell_how_often_which_wheel_and_when_most():
+    jumps = [np.array([0.5, 0.0, size, -0.4]) for size in (19.0, -21.0, 20.0, 18.0)]
+    moments = [Moment("log_1", 1.0 + k, 50.0 + k, jump) for k, jump in enumerate(jumps)]
+    words = moment_words(moments)
+    assert words.startswith("4 times wheel 3 suddenly turned slower or faster, by some 20 rad/s")
+    assert words.endswith("(log_1 at 4.000 s, log_1 at 3.000 s, log_1 at 2.000 s)")
+    assert "several wheels" in moment_words(
+        [*moments, Moment("log_2", 1.0, 40.0, 40.0 * np.eye(4)[0])]
+    )

@@ -6,9 +6,9 @@ from functools import partial
 import numpy as np
 import pytest
 from omnislip.gap import predictable, truth
-from omnislip.gap.find import LASTING_SHARES, PREDICTED_SHARE, SENSOR_SHARE
+from omnislip.gap.find import LASTING_SHARES, PREDICTED_SHARE, SENSOR_SHARE, _no_chance
 from omnislip.gap.machine import Machine
-from omnislip.gap.predictable import EQUATIONS, predictable_shares
+from omnislip.gap.predictable import EQUATIONS, OWN_PASTS_S, Predictable, predictable_shares
 from omnislip.gap.recordings import ELECTRIC_CHANNELS, ROBOT_CHANNELS, make_run
 from omnislip.gap.search import believed_hypothesis, settle
 from omnislip.gap.truth import TruthCase
@@ -164,6 +164,19 @@ def test_a_supply_that_sways_on_its_own_is_no_noise_of_its_sensor():
     found = shares_of_sensors((ripple,))["supply/voltage_v"]
     assert found.share > SENSOR_SHARE
     assert found.runs_helped > found.runs / 2
+
+
+@pytest.mark.parametrize(
+    ("equation", "share", "helped", "chance"),
+    [
+        ("supply/voltage_v", 0.06, 3, False),
+        ("supply/voltage_v", 0.04, 3, True),
+        ("supply/voltage_v", 0.06, 2, True),
+        ("body/force_x", 0.06, 3, True),  # a disturbance lasts, an innovation does not
+    ],
+)
+def test_a_sensor_has_a_threshold_of_its_own(equation, share, helped, chance):
+    assert _no_chance(Predictable(equation, True, OWN_PASTS_S[0][0], share, helped, 4)) != chance
 
 
 def test_a_slow_camera_that_sways_is_asked_by_its_readings():

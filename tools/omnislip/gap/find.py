@@ -1060,7 +1060,7 @@ def _sentence(
         return "No missing effect: the believed model explains these logs within its tolerances."
     parts = [*mended, *(_effect_words(machine, s) for s in outcome.selected)]
     if verdict == "unknown_effect":
-        text = "Something is missing that is none of the known effects"
+        text = nothing_told = "Something is missing that is none of the known effects"
         if unknown:
             text += f": {unknown.equation}, depending on {unknown.dependence}"
             text += f" (hypothesis: {unknown.formula})"
@@ -1073,7 +1073,8 @@ def _sentence(
                 f": {100 * sure[0].share:.0f} % of what passes for chance in "
                 f"{sure[0].equation} can be predicted from {source}"
             )
-        text += f"; {moment_words(moments)}" if moments else ""
+        if moments:
+            text += f"{':' if text == nothing_told else ';'} {moment_words(moments)}"
         text += "".join(
             f"; the size of {one.candidate.name}, which is nearest, changes by"
             f" {100 * one.evidence.variation:.0f} % from half second to half second"
@@ -1099,7 +1100,7 @@ def _sentence(
                 f"; {len(ends)} of {len(outcome.final.hypothesis.base)} believed values would be "
                 f"more than two tolerances off ({', '.join(ends)})"
             )
-        if not (unknown or nameless or _missing_terms(outcome)) and shapes:
+        if not (unknown or nameless or moments or _missing_terms(outcome)) and shapes:
             like = shapes[0]
             text += f"; most of it looks like {like.equation}, depending on {like.dependence}"
         text += "."

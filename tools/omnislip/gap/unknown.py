@@ -26,7 +26,14 @@ from omnislip.gap.machine import Machine
 from omnislip.gap.noise import DISTURBANCES, track_all
 from omnislip.gap.recordings import Run
 from omnislip.gap.search import Outcome
-from omnislip.gap.terms import GYRO_SHAPES, Quantity, against_rotation, roller_friction, swings
+from omnislip.gap.terms import (
+    CAMERA_HEADING,
+    GYRO_SHAPES,
+    Quantity,
+    against_rotation,
+    roller_friction,
+    swings,
+)
 
 Array = npt.NDArray[np.float64]
 
@@ -159,7 +166,8 @@ class _Study:
         elif term.states:
             symbol, unit, per_rate = "force", "N", self._data.machine.inertias(self._values)[0]
         else:
-            symbol, unit, per_rate = "shown besides", "m", 1.0  # by a camera
+            of_heading = term.outputs == (CAMERA_HEADING,)
+            symbol, unit, per_rate = "shown besides", "rad" if of_heading else "m", 1.0
         sign = -1.0 if term.outputs else 1.0  # as of a curve
         moved = (term.states + term.outputs)[0]
         values = [term.shape(x, run.command, run.time_s, moved) for run, x in self._states()]
