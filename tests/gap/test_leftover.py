@@ -34,12 +34,25 @@ def logs():
     return logs_of(TruthCase(seed=8, runs=4, run_duration_s=3.0, base_offset_sd=0.0))
 
 
-def left_in(logs):
+def model_of(logs):
+    """Data and the fitted believed model."""
     runs = [make_run(MACHINE, log) for log in logs]
     start = believed_hypothesis(MACHINE)
     data = Data(MACHINE, runs, tune_noise(MACHINE, runs, MACHINE.believed), start)
-    fitted = fit(data, start)
+    return data, fit(data, start)
+
+
+@pytest.fixture(scope="module")
+def model(logs):
+    return model_of(logs)
+
+
+def left_of(data, fitted):
     return find_leftover(data, fitted, responses(data, fitted, dictionary(MACHINE)))
+
+
+def left_in(logs):
+    return left_of(*model_of(logs))
 
 
 def rippling(log, wheel, order, phase_rad=0.0):
@@ -86,44 +99,35 @@ def test_a_floor_of_waves_is_named_with_their_length():
     ("kind", "swing_hz", "size"),
     [("world/force", 1.2, 0.3), ("world/force", 3.3, 0.3), ("camera", 7.5, 0.5 / 47.0**2)],
 )
-def test_a_load_or_marker_that_swings_is_named_with_its_frequency(logs, kind, swing_hz, size):
+def test_a_load_or_marker_that_swings_is_named_with_its_frequency(model, kind, swing_hz, size):
     """The residuals are moved by what 0.3 of the robot's mass on a spring would do to them.
 
     Or by half of what a marker moves on the robot.
     """
-    runs = [make_run(MACHINE, log) for log in logs]
-    start = believed_hypothesis(MACHINE)
-    data = Data(MACHINE, runs, tune_noise(MACHINE, runs, MACHINE.believed), start)
-    fitted = fit(data, start)
+    data, fitted = model
     free = responses(data, fitted, swing_terms(kind, swing_hz, 0.05))
     moved = replace(fitted, residual=fitted.residual + size * free.sum(axis=1))
-    found = find_leftover(data, moved, responses(data, moved, dictionary(MACHINE)))[0]
+    found = left_of(data, moved)[0]
     assert found.equation == kind
     shown = re.search(r"swings at ([\d.]+) Hz", found.dependence)
     assert float(shown[1]) == pytest.approx(swing_hz, rel=0.1)
 
 
-def test_rollers_that_turn_badly_at_a_place_of_the_wheel_are_named(logs):
+def test_rollers_that_turn_badly_at_a_place_of_the_wheel_are_named(model):
     """The residuals are moved by what 0.5 m/s2 at most would do to them."""
     name = ("wheel/3/roller friction", "sine of the wheel angle")
     term = next(one for one in nameless(MACHINE) if one.name == name)
-    runs = [make_run(MACHINE, log) for log in logs]
-    start = believed_hypothesis(MACHINE)
-    data = Data(MACHINE, runs, tune_noise(MACHINE, runs, MACHINE.believed), start)
-    fitted = fit(data, start)
+    data, fitted = model
     [column] = responses(data, fitted, [term]).T
     moved = replace(fitted, residual=fitted.residual + 0.5 * column)
-    found = find_leftover(data, moved, responses(data, moved, dictionary(MACHINE)))[0]
+    found = left_of(data, moved)[0]
     assert (found.equation, found.dependence) == name
 
 
-def test_what_sets_in_beyond_a_threshold_is_named_though_that_is_not_known(logs):
+def test_what_sets_in_beyond_a_threshold_is_named_though_that_is_not_known(model):
     """The residuals are moved by what a governor on wheel 2 would do above 85 % of all speeds."""
-    runs = [make_run(MACHINE, log) for log in logs]
-    start = believed_hypothesis(MACHINE)
-    data = Data(MACHINE, runs, tune_noise(MACHINE, runs, MACHINE.believed), start)
-    fitted = fit(data, start)
-    speeds = np.concatenate([np.abs(np.diff(r.outputs[:, 1]) / np.diff(r.t_s)) for r in runs])
+    data, fitted = model
+    speeds = np.concatenate([np.abs(np.diff(r.outputs[:, 1]) / np.diff(r.t_s)) for r in data.runs])
     least = np.nanpercentile(speeds, 85)
 
     def governed(x, d, t, i):
@@ -131,7 +135,7 @@ def test_what_sets_in_beyond_a_threshold_is_named_though_that_is_not_known(logs)
 
     [column] = responses(data, fitted, [Term("wheel/2/torque", "governor", (1,), governed)]).T
     moved = replace(fitted, residual=fitted.residual + 25.0 / np.linalg.norm(column) * column)
-    found = find_leftover(data, moved, responses(data, moved, dictionary(MACHINE)))[0]
+    found = left_of(data, moved)[0]
     assert found.equation == "wheel/2/torque"
     assert "speed beyond" in found.dependence
 
