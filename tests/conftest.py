@@ -6,11 +6,14 @@ import signal
 import sys
 from typing import NamedTuple
 
-import distributed
 import psutil
 import pytest
 from hypothesis import settings
 from omnislip import cli
+
+# Threads of the linear algebra would wait for each other where two test programs share the cores,
+# and take three times as long. Read when numpy is first imported, which nothing above does.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 # No deadline: the machine may be busy. The same examples every time: a result can be repeated.
 settings.register_profile("omnislip", deadline=None, derandomize=True)
@@ -20,6 +23,8 @@ settings.load_profile("omnislip")
 @pytest.fixture(scope="session")
 def scheduler():
     """Address of a cluster that somebody else has started."""
+    import distributed  # imports numpy
+
     cluster = distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0"
     )

@@ -2,9 +2,11 @@
 
 import threading
 
+import numpy as np
 import pytest
 from omnislip import _core
 from omnislip.gap.side_by_side import side_by_side
+from threadpoolctl import threadpool_info
 
 
 @pytest.fixture
@@ -46,3 +48,11 @@ def test_an_error_is_that_of_the_work(two_threads):
 
 def test_nothing_gives_nothing():
     assert side_by_side(lambda item: item, []) == []
+
+
+def test_linear_algebra_does_not_compete_with_what_runs_side_by_side():
+    """In tests, too, whatever they import first."""
+    np.linalg.inv(np.eye(2))
+    found = [one["num_threads"] for one in threadpool_info() if one["internal_api"] == "openblas"]
+    assert found
+    assert set(found) == {1}
