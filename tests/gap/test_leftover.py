@@ -163,9 +163,9 @@ def test_a_force_about_a_place_is_found_where_that_is(of, x_m, y_m, width_m, sig
         forces.append(sign * pushed / np.abs(pushed).max() + generator.normal(0.0, 0.33, (600, 2)))
     [found], tried = _placed(places, [force - force.mean(axis=0) for force in forces], of)
     numbers = [float(n) for n in re.findall(r"-?\d+\.\d+", found.dependence)]
-    expected = [x_m, y_m, width_m][: len(numbers)]
+    expected = [x_m, y_m, width_m] if of == "hill" else [x_m, y_m]
     np.testing.assert_allclose(numbers, expected, atol=0.1)
-    assert tried > 300
+    assert tried > 500
 
 
 def test_a_load_on_a_spring_that_was_struck_rings_down():
