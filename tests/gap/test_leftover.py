@@ -151,7 +151,7 @@ def test_what_sets_in_beyond_a_threshold_is_named_though_that_is_not_known(model
 def test_a_force_about_a_place_is_found_where_that_is(of, x_m, y_m, width_m, sign):
     """Four runs over 2 m x 2 m; the forces of 1 m/s2 at most have noise of a third."""
     generator = np.random.default_rng(0)
-    true = PLACED[of][1](np.array([x_m, y_m]), width_m)
+    true = PLACED[of].term(np.array([x_m, y_m]), width_m)
     places, forces = [], []
     for _ in range(4):
         steps = generator.normal(0.0, 0.1, (600, 2))
@@ -161,7 +161,7 @@ def test_a_force_about_a_place_is_found_where_that_is(of, x_m, y_m, width_m, sig
         pushed = np.stack([true.shape(state, None, None, axis) for axis in (8, 9)], axis=1)
         places.append(place)
         forces.append(sign * pushed / np.abs(pushed).max() + generator.normal(0.0, 0.33, (600, 2)))
-    [found], tried = _placed(places, [force - force.mean(axis=0) for force in forces], of)
+    [found], tried = _placed(places, [force - force.mean(axis=0) for force in forces], PLACED[of])
     numbers = [float(n) for n in re.findall(r"-?\d+\.\d+", found.dependence)]
     expected = [x_m, y_m, width_m] if of == "hill" else [x_m, y_m]
     np.testing.assert_allclose(numbers, expected, atol=0.1)

@@ -7,6 +7,7 @@ import pytest
 from omnislip.gap.find import moment_words
 from omnislip.gap.machine import Machine
 from omnislip.gap.moments import LEAST_LOGS, LEAST_MOMENTS, Moment, find_moments
+from omnislip.gap.noise import track_all
 from omnislip.gap.recordings import make_run
 from omnislip.gap.search import believed_hypothesis, settle
 from omnislip.gap.truth import TruthCase
@@ -20,7 +21,8 @@ def moments_in(logs):
     """Moments beside the believed model, its keys and the noise fitted."""
     runs = [make_run(MACHINE, log) for log in logs]
     data, fitted = settle(MACHINE, runs, believed_hypothesis(MACHINE))
-    return find_moments(MACHINE, runs, fitted.hypothesis.flat(MACHINE.believed), data.noise)
+    values = fitted.hypothesis.flat(MACHINE.believed)
+    return find_moments(MACHINE, runs, track_all(MACHINE, runs, values, data.noise, True))
 
 
 def truth_case(effects=(), **changed):

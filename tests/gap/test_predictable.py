@@ -8,6 +8,7 @@ import pytest
 from omnislip.gap import predictable, truth
 from omnislip.gap.find import LASTING_SHARES, PREDICTED_SHARE, SENSOR_SHARE, _no_chance
 from omnislip.gap.machine import Machine
+from omnislip.gap.noise import track_all
 from omnislip.gap.predictable import EQUATIONS, OWN_PASTS_S, Predictable, predictable_shares
 from omnislip.gap.recordings import ELECTRIC_CHANNELS, ROBOT_CHANNELS, make_run
 from omnislip.gap.search import believed_hypothesis, settle
@@ -39,7 +40,8 @@ def shares_in(machine, logs):
     """Shares beside the believed model, its keys and the noise fitted."""
     data, fitted = settle(machine, logs, believed_hypothesis(machine))
     values = fitted.hypothesis.flat(machine.believed)
-    return predictable_shares(machine, logs, data.noise, values, values, data.answers)
+    tracks = track_all(machine, logs, values, data.noise, keep_linear=True)
+    return predictable_shares(machine, logs, data.noise, values, tracks, values, data.answers)
 
 
 def test_chance_cannot_be_predicted():

@@ -47,7 +47,7 @@ from omnislip.gap.metrics import (
     replay_all,
 )
 from omnislip.gap.moments import Moment, find_moments
-from omnislip.gap.noise import LASTING_RATE_1_S, Noise, judging_noise
+from omnislip.gap.noise import LASTING_RATE_1_S, Noise, judging_noise, track_all
 from omnislip.gap.plan import Separation, separating_manoeuvre
 from omnislip.gap.predictable import (
     EQUATIONS,
@@ -353,10 +353,11 @@ def find_gap(
         machine, fitted, outcome.data.noise, refit, after if outcome.selected else None
     )
     progress("asking whether what is left is chance")
-    shares = predictable_shares(
-        machine, fitted, outcome.data.noise, after, refit, outcome.data.answers
-    )
-    moments = find_moments(machine, fitted, after, outcome.data.noise)
+    tuned, tracks = outcome.data.noise, []
+    if machine.kind == "robot":
+        tracks = track_all(machine, fitted, after, tuned, keep_linear=True)
+    shares = predictable_shares(machine, fitted, tuned, after, tracks, refit, outcome.data.answers)
+    moments = find_moments(machine, fitted, tracks)
     jolts = too_often(runs, impacts)
     sudden = jolts or bool(moments)
     verdict = _verdict(outcome, table, bool(wiring or impacts), shares, sudden)

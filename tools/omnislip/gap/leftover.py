@@ -39,7 +39,6 @@ from omnislip.gap.recordings import Run
 from omnislip.gap.side_by_side import side_by_side
 from omnislip.gap.terms import (
     BEATING,
-    SWINGING,
     Term,
     beat_terms,
     beyond_terms,
@@ -83,15 +82,30 @@ WAVE_ROW_S, TINY = 0.01, 1e-6
 WAVES_1_M, WAVES_STEP_1_M, PHASES = (3.0, 26.0), 1.0, 4
 """Wave numbers of a floor (waves of 2 m to 24 cm), and from one to the next (in 3 m a third of a
 period)."""
-PLACED = {"hill": (hill_slope, hill_term), "pull": (pull_to, pull_term)}
 HILL_STEP_M, MOST_HILLS, SEEN_SHARE = 0.15, 25.0, 0.1
-WIDTHS_M = {"hill": (0.1, 0.2, 0.35), "pull": (0.05,)}
-AROUND_M = {"hill": 0.0, "pull": 1.0}
-"""Between hills and other places that are tried, how many of them along a side at most, the share
-of what they do that another run has to feel, their widths, and how far off the way they may be."""
+"""Between hills and other places that are tried, how many of them along a side at most, and the
+share of what they do that another run has to feel."""
 SIDES = np.arange(12.5, 100.0, 12.5)
 """Shares of the way, in percent, on one side of where another camera may begin to see."""
 NEARER_WAVES = np.stack(np.meshgrid(*[np.arange(-0.5, 0.75, 0.25)] * 2), axis=-1).reshape(-1, 2)
+
+
+@dataclass(frozen=True)
+class About:
+    """A force about a place: what it is there, the widths that are tried, how far off the way the
+    place may be."""
+
+    push: Callable[[Array], Array]
+    """(..., 2) in widths from the place -> (..., 2)"""
+    term: Callable[[Array, float], Term]
+    widths_m: tuple[float, ...]
+    around_m: float
+
+
+PLACED = {
+    "hill": About(hill_slope, hill_term, (0.1, 0.2, 0.35), 0.0),
+    "pull": About(pull_to, pull_term, (0.05,), 1.0),
+}
 
 
 @dataclass(frozen=True)
@@ -336,7 +350,7 @@ def _swings_looked_for(
     """
     offered = [
         (kind, hz, SWING_DAMPING)
-        for kind in SWINGING
+        for kind in FASTEST_HZ
         for hz in SWINGS_HZ[FASTEST_HZ[kind] > SWINGS_HZ]
     ]
     for nearer in (True, False):
@@ -346,7 +360,7 @@ def _swings_looked_for(
         gains = [float(np.sum((pair @ _sizes(pair, fitted.residual)) ** 2)) for pair in pairs]
         best = [
             max((k for k, one in enumerate(offered) if one[0] == kind), key=gains.__getitem__)
-            for kind in SWINGING
+            for kind in FASTEST_HZ
         ]
         if nearer:
             offered = [
@@ -363,7 +377,8 @@ def _looked_for(data: Data, tracks: Sequence[_core.Track]) -> tuple[list[Term], 
     """Return waves that the filter's disturbances hold most of, and among how many they are found.
 
     Of waves in place a cos(k r) + b sin(k r) by least squares; beats in time have another phase in
-    every run, and their powers add.
+    every run, and their powers add. Besides, forces about a place, and what sets in beyond lines
+    and thresholds that the runs pass.
     """
     states, places, forces = [], [], []
     in_time = np.zeros((len(BEATING), len(BEATS_HZ)))
@@ -402,8 +417,8 @@ def _looked_for(data: Data, tracks: Sequence[_core.Track]) -> tuple[list[Term], 
         nearest, _ = best_of(numbers, axis)
         terms.append(wave_term(name, *best_of(nearest + NEARER_WAVES * WAVES_STEP_1_M, axis)))
     placed = 0
-    for of in PLACED:
-        found, tried = _placed(places, forces, of)
+    for about in PLACED.values():
+        found, tried = _placed(places, forces, about)
         terms, placed = terms + found, placed + tried
     for equation, power in zip(BEATING, in_time, strict=True):
         terms += beat_terms(equation, float(BEATS_HZ[np.argmax(power)]))
@@ -416,19 +431,20 @@ def _looked_for(data: Data, tracks: Sequence[_core.Track]) -> tuple[list[Term], 
     return terms, waves + in_time.size + placed
 
 
-def _placed(places: Sequence[Array], forces: Sequence[Array], of: str) -> tuple[list[Term], int]:
+def _placed(
+    places: Sequence[Array], forces: Sequence[Array], about: About
+) -> tuple[list[Term], int]:
     """Return what explains most of forces in the world about a place, and how many are tried.
 
     A hill or hollow, or a pull to the place. Of those that two runs feel: where one does, nothing
     could check it.
     """
-    push, term = PLACED[of]
 
     def best_of(offered: Array) -> Array | None:
         """The best of centres and widths (offered, 3)."""
         gains, seen = np.zeros((2, len(offered), len(places)))
         for k, (place, force) in enumerate(zip(places, forces, strict=True)):
-            pushes = push((place[None] - offered[:, None, :2]) / offered[:, None, 2:])
+            pushes = about.push((place[None] - offered[:, None, :2]) / offered[:, None, 2:])
             pushes -= pushes.mean(axis=1, keepdims=True)
             gains[:, k] = np.einsum("hri,ri->h", pushes, force)
             seen[:, k] = np.einsum("hri,hri->h", pushes, pushes)
@@ -439,17 +455,17 @@ def _placed(places: Sequence[Array], forces: Sequence[Array], of: str) -> tuple[
         return offered[best] if gain[best] > 0 else None
 
     low, high = np.percentile(np.concatenate(places), (1.0, 99.0), axis=0)
-    low, high = low - AROUND_M[of], high + AROUND_M[of]
+    low, high = low - about.around_m, high + about.around_m
     step_m = max(HILL_STEP_M, float(np.max(high - low)) / MOST_HILLS)
     axes = [np.arange(a, b + step_m, step_m) for a, b in zip(low, high, strict=True)]
-    offered = np.stack(np.meshgrid(*axes, WIDTHS_M[of]), axis=-1).reshape(-1, 3)
+    offered = np.stack(np.meshgrid(*axes, about.widths_m), axis=-1).reshape(-1, 3)
     best = best_of(offered)
     if best is None:
         return [], len(offered)
     moved = np.stack(np.meshgrid(*[[-0.5, 0.0, 0.5]] * 3), axis=-1).reshape(-1, 3)
     near = best + moved * [step_m, step_m, 0.4 * best[2]]
     best = best_of(near)
-    found = [] if best is None else [term(best[:2], float(best[2]))]
+    found = [] if best is None else [about.term(best[:2], float(best[2]))]
     return found, len(offered) + len(near)
 
 

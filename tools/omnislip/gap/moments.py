@@ -16,9 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from omnislip import _core
 from omnislip.gap.events import COMMAND_JUMP, SPAN_ROWS, Jumps, peaks
 from omnislip.gap.machine import Machine
-from omnislip.gap.noise import SHAFT, Noise, track_all
+from omnislip.gap.noise import SHAFT
 from omnislip.gap.recordings import Run
 from omnislip.gap.side_by_side import side_by_side
 
@@ -45,26 +46,29 @@ class Moment:
 
 
 def find_moments(
-    machine: Machine, runs: Sequence[Run], values: Array, noise: Noise
+    machine: Machine, runs: Sequence[Run], tracks: Sequence[_core.Track]
 ) -> list[Moment]:
-    """Return the moments in runs beside a model of flat `values`; none if they are too few."""
+    """Return the moments in runs beside the model of `tracks`, with their matrices.
+
+    None if they are too few, or of what is no robot.
+    """
     if machine.kind != "robot":
         return []
-    found = side_by_side(lambda run: _moments_in(machine, run, values, noise), runs)
+    pairs = list(zip(runs, tracks, strict=True))
+    found = side_by_side(lambda pair: _moments_in(machine, *pair), pairs)
     moments = [moment for own in found for moment in own]
     logs = {moment.run for moment in moments}
     return moments if len(moments) >= LEAST_MOMENTS and len(logs) >= LEAST_LOGS else []
 
 
-def _moments_in(machine: Machine, run: Run, values: Array, noise: Noise) -> list[Moment]:
-    [track] = track_all(machine, [run], values, noise, keep_linear=True)
+def _moments_in(machine: Machine, run: Run, track: _core.Track) -> list[Moment]:
     jumps = Jumps(machine, run, track, SHAFT, HORIZON_S)
     ratio, jump, _ = jumps.ratios()
     level = float(np.percentile(ratio[jumps.first :], 80))
     unsure = _unsure(run)
     return [
         Moment(run.name, float(run.t_s[row]), float(ratio[row]), jump[row])
-        for row in sorted(peaks(run.t_s, ratio, max(LEAST_RATIO, OVER_LEVEL * level)))
+        for row in peaks(run.t_s, ratio, max(LEAST_RATIO, OVER_LEVEL * level))
         if not unsure[row]
     ]
 

@@ -100,21 +100,21 @@ def predictable_shares(
     runs: Sequence[Run],
     noise: Noise,
     values: Array,
+    tracks: Sequence[_core.Track],
     without: Array,
     answers: bool,
 ) -> list[Predictable]:
     """Return the shares of each equation, largest first; nothing for fewer than three logs.
 
-    `values` are those of the final model, `without` of the refitted one without effects; `answers`
-    tells whether loops are closed. Only robots have disturbances. `runs` may be pieces; pieces of a
-    log are learned together.
+    `values` are those of the final model, `tracks` its filter's with their matrices, `without` are
+    the values of the refitted model without effects; `answers` tells whether loops are closed. Only
+    robots have disturbances. `runs` may be pieces; pieces of a log are learned together.
     """
     names = list(dict.fromkeys(run.name for run in runs))
     if machine.kind != "robot" or len(names) < LEAST_RUNS:
         return []
     features, pasts, targets, there, friction, owners = [], [], [], [], [], []
     gear = float(machine.model.values["motor.gear_ratio"])
-    tracks = track_all(machine, runs, values, noise, keep_linear=True)
     after = _states(runs, tracks)
     unnamed = track_all(machine, runs, without, noise)
     before = _states(runs, unnamed)

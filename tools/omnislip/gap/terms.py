@@ -27,7 +27,6 @@ SUPPLY_LAGS_S, WARM_S, COMMAND_LAGS_S = (0.02, 0.2, 2.0), (0.5, 2.0, 8.0), (0.02
 BEYOND_PERCENT = (75.0, 95.0)
 EDGE_M, SLOW_YAW_RAD_S = 0.02, 0.05
 EVERYWHERE = {"every wheel": (0, 1, 2, 3), **{f"wheel/{i + 1}": (i,) for i in range(4)}}
-SWINGING = ("world/force", "body/moment", "camera")
 BEATING = ("world/force_x", "world/force_y", "every wheel/torque")
 
 
@@ -147,6 +146,11 @@ def turned(heading_rad: Array, vector: Array) -> Array:
     return np.stack(
         [cos * vector[:, 0] - sin * vector[:, 1], sin * vector[:, 0] + cos * vector[:, 1]], axis=1
     )
+
+
+def _shown_velocity(x: Array, output: int) -> Array:
+    """Rate (rows,) of what a camera shows of the place: the velocity along an axis of the world."""
+    return turned(x[:, 13], x[:, 8:10])[:, output - CAMERA[0]]
 
 
 def _shaft(function: Callable[[Array, Array], Array]) -> Callable[..., Array]:
@@ -481,8 +485,7 @@ def swing_terms(kind: str, swing_hz: float, damping: float) -> list[Term]:
     """
 
     def shown(x: Array, d: Array, t: Array, output: int, part: str) -> Array:
-        velocity = turned(x[:, 13], x[:, 8:10])[:, output - CAMERA[0]]
-        return swings(t, velocity, swing_hz, damping, part)
+        return swings(t, _shown_velocity(x, output), swing_hz, damping, part)
 
     def force(x: Array, d: Array, t: Array, state: int, part: str) -> Array:
         velocity = turned(x[:, 13], x[:, 8:10])
@@ -582,10 +585,10 @@ CAMERA_SHAPES: dict[str, Callable[..., Array]] = {
     "place y": lambda x, d, t, i: x[:, 6 + i] * x[:, 12],
     "axis": lambda x, d, t, i: x[:, 6 + i] * (1.0 if i == 5 else -1.0),
     "velocity at place x, as of a row that is read later": lambda x, d, t, i: (
-        turned(x[:, 13], x[:, 8:10])[:, i - 5] * x[:, 11]
+        _shown_velocity(x, i) * x[:, 11]
     ),
     "velocity at place y, as of a row that is read later": lambda x, d, t, i: (
-        turned(x[:, 13], x[:, 8:10])[:, i - 5] * x[:, 12]
+        _shown_velocity(x, i) * x[:, 12]
     ),
     "heading, as of a marker ahead of the centre": lambda x, d, t, i: np.cos(
         x[:, 13] - (i == 6) * np.pi / 2
