@@ -32,66 +32,15 @@ namespace {
 using Matrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 using Vector = Eigen::VectorXd;
 
-/* The rows of y that were sampled. */
-std::vector<int> sampled_outputs(const double *measured, int outputs) {
-    std::vector<int> sampled;
-    for (int j = 0; j < outputs; ++j) {
-        if (!std::isnan(measured[j]))
-            sampled.push_back(j);
+/* h P h' of a row h of `slope`, most of which is 0. */
+double variance_along(const Matrix &slope, int row, const Matrix &p) {
+    double sum = 0.0;
+    for (int i = 0; i < p.rows(); ++i) {
+        for (int j = 0; slope(row, i) != 0.0 && j < p.cols(); ++j)
+            sum += slope(row, i) * p(i, j) * slope(row, j);
     }
-    return sampled;
+    return sum;
 }
-
-/* Kalman filter of one row: x, P before -> after; writes the gain and the whitening of the row. */
-class RowUpdate {
-  public:
-    RowUpdate(int states, int outputs) : states_(states), outputs_(outputs) {}
-
-    double operator()(const std::vector<int> &sampled, const double *measured,
-                      const Vector &predicted, const Matrix &slope, const Vector &variance,
-                      const Vector &mistiming, Vector &x, Matrix &p, double *gain,
-                      double *whitening, double *correction_variance) const {
-        const int m = static_cast<int>(sampled.size());
-        if (m == 0)
-            return 0.0;
-        Matrix h(m, states_);
-        Vector innovation(m);
-        for (int a = 0; a < m; ++a) {
-            h.row(a) = slope.row(sampled[a]);
-            innovation[a] = measured[sampled[a]] - predicted[sampled[a]];
-        }
-        const Matrix ph = p * h.transpose();
-        Vector late(m);
-        for (int a = 0; a < m; ++a)
-            late[a] = mistiming[sampled[a]];
-        Matrix s = h * ph + late * late.transpose();
-        for (int a = 0; a < m; ++a)
-            s(a, a) += variance[sampled[a]];
-        const Eigen::LLT<Matrix> cholesky(s);
-        const Matrix k = cholesky.solve(ph.transpose()).transpose();
-        const Matrix w = cholesky.matrixL().solve(Matrix::Identity(m, m));
-        const Matrix learned = k * ph.transpose();
-        for (int i = 0; i < states_; ++i)
-            correction_variance[i] = learned(i, i);
-        x += k * innovation;
-        p -= learned;
-        p = (0.5 * (p + p.transpose())).eval();
-        for (int a = 0; a < m; ++a) {
-            for (int i = 0; i < states_; ++i)
-                gain[i * outputs_ + sampled[a]] = k(i, a);
-            for (int b = 0; b <= a; ++b)
-                whitening[sampled[a] * outputs_ + sampled[b]] = w(a, b);
-        }
-        const Vector white = w * innovation;
-        double log_determinant = 0.0;
-        for (int a = 0; a < m; ++a)
-            log_determinant += std::log(w(a, a));
-        return log_determinant - 0.5 * white.squaredNorm() - 0.5 * m * std::log(2.0 * M_PI);
-    }
-
-  private:
-    int states_, outputs_;
-};
 
 std::atomic<int> most_threads{std::max(1, static_cast<int>(std::thread::hardware_concurrency()))};
 
@@ -168,7 +117,6 @@ Track track(const Kernel &kernel, const Recording &recording, const double *valu
     Matrix moves(n, n), shown(m, n), push(n, q);
     Matrix transition = Matrix::Zero(all, all), slope = Matrix::Zero(m, all);
     Vector predicted(m), mistiming = Vector::Zero(m);
-    const RowUpdate update(all, m);
     std::vector<double> gone(kernel.shows_late(loaded.get()) ? 3 * rows : 0, 0.0);
     for (std::size_t k = 0; k < rows; ++k) {
         const double *measured = &recording.output[k * m];
@@ -185,13 +133,12 @@ Track track(const Kernel &kernel, const Recording &recording, const double *valu
         }
         for (int j = 0; j < m; ++j) {
             result.innovation[k * m + j] = measured[j] - predicted[j];
-            result.replay_variance[k * m + j] =
-                slope.row(j) * free * slope.row(j).transpose() + variance[j];
+            result.replay_variance[k * m + j] = variance[j] + variance_along(slope, j, free);
         }
-        result.log_likelihood +=
-            update(sampled_outputs(measured, m), measured, predicted, slope, variance, mistiming,
-                   estimate, p, &result.gain[k * all * m], &result.whitening[k * m * m],
-                   &result.correction_variance[k * all]);
+        result.log_likelihood += kernel.correct_by(
+            &result.innovation[k * m], slope.data(), variance.data(), mistiming.data(), all,
+            estimate.data(), p.data(), &result.gain[k * all * m], &result.whitening[k * m * m],
+            &result.correction_variance[k * all]);
         std::copy_n(estimate.data(), all, &result.state[k * all]);
         x(moved) = estimate.head(n);
         if (recording.time_s[k] >= restart_s) {
@@ -237,9 +184,9 @@ Track track(const Kernel &kernel, const Recording &recording, const double *valu
             grown[motors + i] += noise.unresolved * way * way *
                                  squared_change(recording, motors, static_cast<int>(k), i);
         }
-        p = transition * p * transition.transpose();
+        kernel.carry_covariance(transition.data(), all, p.data());
         p.diagonal() += grown;
-        free = transition * free * transition.transpose();
+        kernel.carry_covariance(transition.data(), all, free.data());
         free.diagonal() += grown;
     }
     return result;

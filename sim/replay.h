@@ -140,6 +140,17 @@ class Kernel {
     virtual void linearise_output(const void *loaded, const Recording &recording, int row,
                                   const std::vector<int> &moved, const double *gone,
                                   const double *state, double *output, double *slope) const = 0;
+    /* A covariance P [filter_states][filter_states] from one row to the next: F P F', F the
+     * transition with the disturbances. */
+    virtual void carry_covariance(const double *transition, int filter_states, double *p) const = 0;
+    /* Kalman filter of one row: innovation [outputs], NaN where nothing was sampled, slope
+     * [outputs][filter_states], variance and mistiming `late` [outputs]. Moves the estimate and P,
+     * fills gain [filter_states][outputs], whitening [outputs][outputs] and what the estimate is
+     * corrected by [filter_states], all 0 before. Returns the log likelihood. */
+    virtual double correct_by(const double *innovation, const double *slope, const double *variance,
+                              const double *late, int filter_states, double *estimate, double *p,
+                              double *gain, double *whitening,
+                              double *correction_variance) const = 0;
     /* Derivatives of the states of one set at many points: states [points][states], commands
      * [points][motors], derivative [points][states]; time 0, memory settled. */
     virtual void derivatives(const void *loaded, int points, const double *states,

@@ -392,6 +392,29 @@ class KernelOf final : public Kernel {
         }
     }
 
+    void carry_covariance(const double *transition, int filter_states, double *p) const override {
+        if constexpr (Plant::kKind == kRobot) {
+            if (filter_states > kStates + kPushes) {
+                carry_covariance_with<kMotors>(transition, p);
+                return;
+            }
+        }
+        carry_covariance_with<0>(transition, p);
+    }
+
+    double correct_by(const double *innovation, const double *slope, const double *variance,
+                      const double *late, int filter_states, double *estimate, double *p,
+                      double *gain, double *whitening, double *correction_variance) const override {
+        if constexpr (Plant::kKind == kRobot) {
+            if (filter_states > kStates + kPushes) {
+                return correct_with<kMotors>(innovation, slope, variance, late, estimate, p, gain,
+                                             whitening, correction_variance);
+            }
+        }
+        return correct_with<0>(innovation, slope, variance, late, estimate, p, gain, whitening,
+                               correction_variance);
+    }
+
     void innovations(const Recording &recording, const Track &track, const double *values,
                      int count, double step_s, double least_rate_1_s,
                      double *residuals) const override {
@@ -539,74 +562,158 @@ class KernelOf final : public Kernel {
             log_likelihood[i] += lane(total, i);
     }
 
-    /* One row of the filter of `likelihoods`. With S = L L', white = e / L and G = P H' / L':
-     * K e = G white and P falls by G G'. */
+    /* One row of the filter of `likelihoods`. */
     template <int kFilter>
     static void update(const Track &track, int k, const double *slope, const S *variance,
                        const S *late, S (&p)[kFilter][kFilter], S *apart, S &total, int count,
                        double *covariance, long plane) {
         const double *shown = &track.innovation[k * kOutputs];
-        int sampled[kOutputs], found = 0;
-        for (int j = 0; j < kOutputs; ++j) {
-            if (shown[j] == shown[j])
-                sampled[found++] = j;
-        }
-        const int m = std::min(found, kOutputs); /* what the compiler cannot see */
-        S g[kOutputs][kFilter], white[kOutputs], root[kOutputs][kOutputs], per_root[kOutputs];
-        alignas(64) double spread[kLanes];
-        for (int a = 0; a < m; ++a) {
+        const Sampled sampled(shown);
+        S innovation[kOutputs];
+        for (int a = 0; a < sampled.count(); ++a) {
             const double *h = slope + sampled[a] * kFilter;
-            S ph[kFilter], innovation(shown[sampled[a]]);
-            std::fill_n(ph, kFilter, S(0.0));
+            innovation[a] = S(shown[sampled[a]]);
             for (int j = 0; j < kFilter; ++j) {
-                if (h[j] == 0.0)
-                    continue;
-                innovation -= S(h[j]) * apart[j];
-                for (int i = 0; i < kFilter; ++i)
-                    ph[i] += S(h[j]) * p[i][j];
+                if (h[j] != 0.0)
+                    innovation[a] -= S(h[j]) * apart[j];
             }
-            for (int b = 0; b <= a; ++b) {
-                S sum = late[sampled[a]] * late[sampled[b]];
-                const double *other = slope + sampled[b] * kFilter;
-                for (int i = 0; i < kFilter; ++i) {
-                    if (other[i] != 0.0)
-                        sum += S(other[i]) * ph[i];
-                }
-                if (a == b)
-                    sum += variance[sampled[a]];
-                sum.store_aligned(spread);
-                for (int s = 0; s < count; ++s) {
-                    double *own = covariance + s * plane;
-                    own[sampled[a] * kOutputs + sampled[b]] = spread[s];
-                    own[sampled[b] * kOutputs + sampled[a]] = spread[s];
-                }
-                for (int c = 0; c < b; ++c)
-                    sum -= root[a][c] * root[b][c];
-                root[a][b] = a == b ? sqrt(sum) : sum * per_root[b];
-            }
-            per_root[a] = S(1.0) / root[a][a];
-            for (int c = 0; c < a; ++c) {
-                innovation -= root[a][c] * white[c];
-                for (int i = 0; i < kFilter; ++i)
-                    ph[i] -= root[a][c] * g[c][i];
-            }
-            white[a] = innovation * per_root[a];
-            for (int i = 0; i < kFilter; ++i)
-                g[a][i] = ph[i] * per_root[a];
-            total += log(per_root[a]) - S(0.5) * white[a] * white[a] - S(0.5 * std::log(2.0 * kPi));
         }
+        Told<S, kFilter> told;
+        const auto keep = [&](int a, int b, const S &sum) {
+            alignas(64) double spread[kLanes];
+            sum.store_aligned(spread);
+            for (int s = 0; s < count; ++s) {
+                double *own = covariance + s * plane;
+                own[sampled[a] * kOutputs + sampled[b]] = spread[s];
+                own[sampled[b] * kOutputs + sampled[a]] = spread[s];
+            }
+        };
+        total += told.by(sampled, slope, variance, late, innovation, p, keep);
         for (int i = 0; i < kFilter; ++i) {
             double corrected = 0.0;
-            for (int a = 0; a < m; ++a)
+            for (int a = 0; a < sampled.count(); ++a)
                 corrected +=
                     track.gain[(k * kFilter + i) * kOutputs + sampled[a]] * shown[sampled[a]];
             apart[i] -= S(corrected);
-            for (int a = 0; a < m; ++a) {
-                apart[i] += g[a][i] * white[a];
-                for (int j = 0; j < kFilter; ++j)
-                    p[i][j] -= g[a][i] * g[a][j];
+            for (int a = 0; a < sampled.count(); ++a)
+                apart[i] += told.g[a][i] * told.white[a];
+        }
+    }
+
+    /* The outputs that were sampled in a row: what is no number was not. */
+    class Sampled {
+      public:
+        explicit Sampled(const double *shown) {
+            for (int j = 0; j < kOutputs; ++j) {
+                if (shown[j] == shown[j])
+                    outputs_[found_++] = j;
             }
         }
+        int count() const {
+            return std::min(found_, kOutputs); /* what the compiler cannot see */
+        }
+        int operator[](int a) const {
+            return outputs_[a];
+        }
+
+      private:
+        int outputs_[kOutputs], found_ = 0;
+    };
+
+    /* What the innovations e of a row tell, of covariance S = H P H' + ... = L L': white = e / L
+     * and G = P H' / L'. The state moves by K e = G white, and P falls by G G'. */
+    template <class T, int kFilter>
+    struct Told {
+        T g[kOutputs][kFilter], white[kOutputs], root[kOutputs][kOutputs], per_root[kOutputs];
+
+        /* Fills in these, lets P fall; returns the log likelihood. `keep(a, b, S_ab)`. */
+        template <class Keep>
+        T by(const Sampled &sampled, const double *slope, const T *variance, const T *late,
+             const T *innovation, T (*p)[kFilter], Keep &&keep) {
+            using std::log;
+            using std::sqrt;
+            T total(0.0);
+            for (int a = 0; a < sampled.count(); ++a) {
+                const double *h = slope + sampled[a] * kFilter;
+                T ph[kFilter], left = innovation[a];
+                std::fill_n(ph, kFilter, T(0.0));
+                for (int j = 0; j < kFilter; ++j) {
+                    if (h[j] == 0.0)
+                        continue;
+                    for (int i = 0; i < kFilter; ++i)
+                        ph[i] += T(h[j]) * p[j][i];
+                }
+                for (int b = 0; b <= a; ++b) {
+                    T sum = late[sampled[a]] * late[sampled[b]];
+                    const double *other = slope + sampled[b] * kFilter;
+                    for (int i = 0; i < kFilter; ++i) {
+                        if (other[i] != 0.0)
+                            sum += T(other[i]) * ph[i];
+                    }
+                    if (a == b)
+                        sum += variance[sampled[a]];
+                    keep(a, b, sum);
+                    for (int c = 0; c < b; ++c)
+                        sum -= root[a][c] * root[b][c];
+                    root[a][b] = a == b ? sqrt(sum) : sum * per_root[b];
+                }
+                per_root[a] = T(1.0) / root[a][a];
+                for (int c = 0; c < a; ++c) {
+                    left -= root[a][c] * white[c];
+                    for (int i = 0; i < kFilter; ++i)
+                        ph[i] -= root[a][c] * g[c][i];
+                }
+                white[a] = left * per_root[a];
+                for (int i = 0; i < kFilter; ++i)
+                    g[a][i] = ph[i] * per_root[a];
+                total +=
+                    log(per_root[a]) - T(0.5) * white[a] * white[a] - T(0.5 * std::log(2.0 * kPi));
+            }
+            for (int i = 0; i < kFilter; ++i) {
+                for (int a = 0; a < sampled.count(); ++a) {
+                    for (int j = 0; j < kFilter; ++j)
+                        p[i][j] -= g[a][i] * g[a][j];
+                }
+            }
+            return total;
+        }
+    };
+
+    /* One row of the filter of a track. With 1 / L the whitening, K = G / L. */
+    template <int kMemory>
+    static double correct_with(const double *innovation, const double *slope,
+                               const double *variance, const double *late, double *estimate,
+                               double *p, double *gain, double *whitening,
+                               double *correction_variance) {
+        constexpr int kFilter = kStates + kMemory + kPushes;
+        const Sampled sampled(innovation);
+        double shown[kOutputs];
+        for (int a = 0; a < sampled.count(); ++a)
+            shown[a] = innovation[sampled[a]];
+        Told<double, kFilter> told;
+        const double log_likelihood =
+            told.by(sampled, slope, variance, late, shown, reinterpret_cast<double(*)[kFilter]>(p),
+                    [](int, int, double) {});
+        double inverse[kOutputs][kOutputs];
+        for (int a = 0; a < sampled.count(); ++a) {
+            inverse[a][a] = told.per_root[a];
+            for (int b = 0; b < a; ++b) {
+                double sum = 0.0;
+                for (int c = b; c < a; ++c)
+                    sum -= told.root[a][c] * inverse[c][b];
+                inverse[a][b] = sum * told.per_root[a];
+            }
+            for (int b = 0; b <= a; ++b)
+                whitening[sampled[a] * kOutputs + sampled[b]] = inverse[a][b];
+            for (int i = 0; i < kFilter; ++i) {
+                const double g = told.g[a][i];
+                estimate[i] += g * told.white[a];
+                correction_variance[i] += g * g;
+                for (int b = 0; b <= a; ++b)
+                    gain[i * kOutputs + sampled[b]] += g * inverse[a][b];
+            }
+        }
+        return log_likelihood;
     }
 
     /* What the track's state moved by from row k to the next, before the measurements there. */
@@ -663,6 +770,40 @@ class KernelOf final : public Kernel {
                 p[i][c] = p[c][i] = half[i][c] * decay;
             for (int j = kMoved; j < kFilter; ++j)
                 p[c][j] = p[c][j] * decay * decay;
+        }
+    }
+
+    /* As P is symmetric, F P F' = F (F P)': row by row, without the many zeros of F. */
+    template <int kMemory>
+    static void carry_covariance_with(const double *transition, double *p) {
+        constexpr int kFilter = kStates + kMemory + kPushes;
+        constexpr int kWide = (kFilter + kLanes - 1) / kLanes;
+        alignas(64) double from[kFilter][kWide * kLanes] = {}, turned[kFilter][kWide * kLanes] = {};
+        const auto times = [transition](int i, const double(&rows)[kFilter][kWide * kLanes],
+                                        double *product) {
+            S sum[kWide];
+            std::fill_n(sum, kWide, S(0.0));
+            for (int l = 0; l < kFilter; ++l) {
+                const double f = transition[i * kFilter + l];
+                if (f == 0.0)
+                    continue;
+                for (int v = 0; v < kWide; ++v)
+                    sum[v] += S(f) * S::load_aligned(rows[l] + v * kLanes);
+            }
+            for (int v = 0; v < kWide; ++v)
+                sum[v].store_aligned(product + v * kLanes);
+        };
+        alignas(64) double row[kWide * kLanes];
+        for (int i = 0; i < kFilter; ++i)
+            std::copy_n(p + i * kFilter, kFilter, from[i]);
+        for (int i = 0; i < kFilter; ++i) {
+            times(i, from, row);
+            for (int j = 0; j < kFilter; ++j)
+                turned[j][i] = row[j];
+        }
+        for (int i = 0; i < kFilter; ++i) {
+            times(i, turned, row);
+            std::copy_n(row, kFilter, p + i * kFilter);
         }
     }
 

@@ -29,6 +29,7 @@ from omnislip.gap.search import believed_hypothesis
 from omnislip.gap.truth import TruthCase
 from omnislip.gap.truth_effects import HiddenEffect
 from omnislip.model_file import NOMINAL_ROBOT, Effect, read_model, write_model
+from scipy.stats import multivariate_normal
 from truth_bench import runs_of
 
 NAMES = ("process", "output", "initial", "timing_s2", "unresolved", "unresolved_current")
@@ -117,6 +118,56 @@ def test_covariances_that_are_lost_in_rounding_end_the_climb(robot, monkeypatch)
     np.testing.assert_array_equal(tuned.logs, robot.noise.logs)
 
 
+# ---- the filter of a track ----
+
+
+def textbook_filter(run, track, noise, engine):
+    """Gain, whitening, variance of corrections and log likelihood by dense matrices of numpy.
+
+    Along the track's own transitions, slopes and innovations; without mistimed or unresolved rows.
+    """
+    rows, n, m = len(run.t_s), track.filter_states, engine.outputs
+    transition = track.transition.reshape(rows, n, n)
+    slope = track.slope.reshape(rows, m, n)
+    innovation = track.innovation.reshape(rows, m)
+    quiet = np.zeros(n - len(noise.process) - len(noise.coloured))  # memory
+    covariance = np.diag(np.concatenate([noise.initial, quiet, noise.coloured]))
+    gain, whitening = np.zeros((rows, n, m)), np.zeros((rows, m, m))
+    corrected, log_likelihood = np.zeros((rows, n)), 0.0
+    for row in range(rows):
+        seen = np.flatnonzero(~np.isnan(innovation[row]))
+        if seen.size:
+            h = slope[row, seen]
+            scatter = h @ covariance @ h.T + np.diag(noise.output[seen])
+            k = covariance @ h.T @ np.linalg.inv(scatter)
+            gain[row][:, seen] = k
+            whitening[row][np.ix_(seen, seen)] = np.linalg.inv(np.linalg.cholesky(scatter))
+            corrected[row] = np.diag(k @ scatter @ k.T)
+            log_likelihood += multivariate_normal.logpdf(innovation[row, seen], cov=scatter)
+            rest = np.eye(n) - k @ h  # Joseph's form
+            covariance = rest @ covariance @ rest.T + k @ np.diag(noise.output[seen]) @ k.T
+        if row + 1 < rows:
+            duration_s = run.t_s[row + 1] - run.t_s[row]
+            decay = np.exp(-duration_s * noise.colour_rate_1_s)
+            grown = [noise.process * duration_s, quiet, (1.0 - decay**2) * noise.coloured]
+            covariance = transition[row] @ covariance @ transition[row].T
+            covariance += np.diag(np.concatenate(grown))
+    return gain, whitening, corrected, log_likelihood
+
+
+def test_the_filter_is_that_of_the_textbook(bench):
+    """Written with symmetry and zeros in mind, it is as good as Joseph's form to 1e-7 of a gain."""
+    noise = replace(bench.noise, timing_s2=0.0, unresolved=0.0, unresolved_current=0.0)
+    tracks = bench.tracked(noise, keep_linear=True)
+    for run, track in zip(bench.runs, tracks, strict=True):
+        found = (track.gain, track.whitening, track.correction_variance)
+        *expected, log_likelihood = textbook_filter(run, track, noise, bench.machine.engine)
+        for own, one in zip(found, expected, strict=True):
+            size = np.abs(one).max(axis=0)  # of each state and output
+            assert np.all(np.abs(own.reshape(one.shape) - one) <= 1e-7 * size)
+        assert track.log_likelihood == pytest.approx(log_likelihood, rel=1e-11)
+
+
 # ---- likelihoods along a path ----
 
 
@@ -126,7 +177,7 @@ def test_the_noise_of_the_path_has_the_likelihood_of_its_filter(bench):
 
 
 def test_covariances_are_those_that_the_filter_whitens(bench):
-    """W S W' = I over the sampled outputs, by other code than the one that computes S here."""
+    """W S W' = I over the sampled outputs: another elimination of the same filter."""
     _, covariances = bench.likelihoods([bench.noise])
     outputs = bench.machine.engine.outputs
     for run, track, covariance in zip(bench.runs, bench.tracks, covariances, strict=True):
