@@ -67,6 +67,23 @@ def test_nothing_is_left_where_nothing_is_missing(logs):
     assert left_in(logs) == []
 
 
+@pytest.mark.parametrize("places", [1, 2])
+def test_one_incident_is_no_law_but_two_are(model, places):
+    """Half a second in which the term does thirty times as much, and else a gain of 10."""
+    data, fitted = model
+    terms = dictionary(MACHINE)
+    name = ("every wheel/torque", "speed to the fifth")
+    own = [term.name for term in terms].index(name)
+    free = responses(data, fitted, terms)
+    column = free[:, own] * np.sqrt(10.0) / np.linalg.norm(free[:, own])
+    for block in (data.blocks.max() // 3, data.blocks.max())[:places]:
+        column[data.blocks == block] *= 30.0
+    free[:, own] = column
+    moved = replace(fitted, residual=fitted.residual + column)
+    found = [(one.equation, one.dependence) for one in find_leftover(data, moved, free)]
+    assert (name in found) == (places > 1)
+
+
 @pytest.mark.parametrize(("wheel", "order", "angle"), [(3, 2, "twice the"), (2, 1, "the")])
 def test_one_encoder_that_ripples_is_named(logs, wheel, order, angle):
     found = left_in([rippling(log, wheel, order) for log in logs])
