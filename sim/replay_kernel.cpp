@@ -7,6 +7,7 @@
  */
 #include <algorithm>
 #include <new>
+#include <type_traits>
 
 #include "axis_plant.h"
 #include "integrator.h"
@@ -393,26 +394,17 @@ class KernelOf final : public Kernel {
     }
 
     void carry_covariance(const double *transition, int filter_states, double *p) const override {
-        if constexpr (Plant::kKind == kRobot) {
-            if (filter_states > kStates + kPushes) {
-                carry_covariance_with<kMotors>(transition, p);
-                return;
-            }
-        }
-        carry_covariance_with<0>(transition, p);
+        by_memory(filter_states > kStates + kPushes,
+                  [&](auto memory) { carry_covariance_with<memory.value>(transition, p); });
     }
 
     double correct_by(const double *innovation, const double *slope, const double *variance,
                       const double *late, int filter_states, double *estimate, double *p,
                       double *gain, double *whitening, double *correction_variance) const override {
-        if constexpr (Plant::kKind == kRobot) {
-            if (filter_states > kStates + kPushes) {
-                return correct_with<kMotors>(innovation, slope, variance, late, estimate, p, gain,
-                                             whitening, correction_variance);
-            }
-        }
-        return correct_with<0>(innovation, slope, variance, late, estimate, p, gain, whitening,
-                               correction_variance);
+        return by_memory(filter_states > kStates + kPushes, [&](auto memory) {
+            return correct_with<memory.value>(innovation, slope, variance, late, estimate, p, gain,
+                                              whitening, correction_variance);
+        });
     }
 
     void innovations(const Recording &recording, const Track &track, const double *values,
@@ -483,17 +475,23 @@ class KernelOf final : public Kernel {
 
     void likelihoods(const Recording &recording, const Track &track, const Noise *noises, int count,
                      double *log_likelihood, double *covariance) const override {
-        if constexpr (Plant::kKind == kRobot) {
-            if (!track.memory.empty()) {
-                likelihoods_with<kMotors>(recording, track, noises, count, log_likelihood,
-                                          covariance);
-                return;
-            }
-        }
-        likelihoods_with<0>(recording, track, noises, count, log_likelihood, covariance);
+        by_memory(!track.memory.empty(), [&](auto memory) {
+            likelihoods_with<memory.value>(recording, track, noises, count, log_likelihood,
+                                           covariance);
+        });
     }
 
   private:
+    /* work(memory), with the number of places of memory that the filter corrects as its value. */
+    template <class Work>
+    static auto by_memory(bool corrected, Work &&work) {
+        if constexpr (Plant::kKind == kRobot) {
+            if (corrected)
+                return work(std::integral_constant<int, kMotors>{});
+        }
+        return work(std::integral_constant<int, 0>{});
+    }
+
     template <int kMemory>
     void likelihoods_with(const Recording &recording, const Track &track, const Noise *noises,
                           int count, double *log_likelihood, double *covariance) const {
@@ -773,7 +771,8 @@ class KernelOf final : public Kernel {
         }
     }
 
-    /* As P is symmetric, F P F' = F (F P)': row by row, without the many zeros of F. */
+    /* As P is symmetric, F P F' = F (F P)': row by row, without the many zeros of F. It stays
+     * symmetric to the last digit: no measurement takes back what differs, and it may grow. */
     template <int kMemory>
     static void carry_covariance_with(const double *transition, double *p) {
         constexpr int kFilter = kStates + kMemory + kPushes;
@@ -803,7 +802,8 @@ class KernelOf final : public Kernel {
         }
         for (int i = 0; i < kFilter; ++i) {
             times(i, turned, row);
-            std::copy_n(row, kFilter, p + i * kFilter);
+            for (int j = i; j < kFilter; ++j)
+                p[i * kFilter + j] = p[j * kFilter + i] = row[j];
         }
     }
 

@@ -5,8 +5,8 @@ the final model every term of a small dictionary (equation x wheel pattern x dep
 function of time; what it would do to the innovations is linear in its size (`whitened_response` in
 rows.py derives it); a term of a sensor is added to what it shows. Each term is tested like an
 effect: gain T over what the fitted parameters leave, inflation by block sums, and the gain on each
-run by the size that fits the others. A term that passes says where something is missing and on what
-it depends, not what it is.
+run by the size that fits the others. What gains within one half second only is an incident and no
+law. A term that passes says where something is missing and on what it depends, not what it is.
 
 Waves in place, hills, beats and loads that swing have a length, a place or a frequency besides. The
 filter's disturbances, or the responses themselves, are searched for the one that explains most; it
@@ -302,11 +302,15 @@ class _Judge:
         if not gain > 0 or gain < MORE * simpler:
             return None
         inflation = inflation_of(data, change[:, None], residual + change, np.array([[gain]]))
-        p_value = float(chi2.sf(gain / inflation, freedom)) * self.tried
+
+        def chance_of(told: float) -> float:
+            return float(chi2.sf(told / inflation, freedom)) * self.tried
+
+        p_value = chance_of(gain)
         if p_value >= P_VALUE or chi2.sf((gain - simpler) / inflation, spared) > MORE_P_VALUE:
             return None
         elsewhere = _without_one_place(data, -change * (2.0 * residual + change))
-        if float(chi2.sf(elsewhere / inflation, freedom)) * self.tried >= P_VALUE:
+        if chance_of(elsewhere) >= P_VALUE:
             return None
         checked = check()
         if not checked.helps:
