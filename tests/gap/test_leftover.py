@@ -298,6 +298,13 @@ def test_a_nameless_term_explains_more_than_a_name_of_another_shape(hidden):
         assert share == pytest.approx(1.0, abs=0.05)
 
 
+@pytest.mark.parametrize("holds_commands", [False, True])
+def test_what_commands_that_move_within_rows_feign_is_asked_of_those_that_do_not(holds_commands):
+    machine = MACHINE.of(MACHINE.model, holds_commands=holds_commands)
+    dependences = {term.dependence for term in nameless(machine)}
+    assert ("change of the command, by its size" in dependences) == holds_commands
+
+
 def test_terms_have_names_of_their_own():
     terms = [*dictionary(MACHINE), *nameless(MACHINE)]
     names = [(term.equation, term.dependence) for term in terms]

@@ -66,6 +66,36 @@ def test_moments_of_one_log_may_be_anything():
     assert moments_in([replace(struck, name="run_0"), *calm]) == []
 
 
+def stamped(log, kind):
+    """The log with stamps that are off by some tenths of a millisecond, but for its first."""
+    rng, rows = np.random.default_rng(1), len(log.t_s)
+    off_s = {
+        "a clock that drifts and skips": 3e-4 * (np.arange(rows) * 0.013 % 1.0),
+        "a clock that skips": np.repeat(rng.normal(0.0, 1e-4, rows // 40 + 1), 40)[:rows],
+        "rows that are read late": (rng.random(rows) < 0.02) * rng.exponential(6e-4, rows),
+    }[kind]
+    return replace(log, t_s=np.maximum.accumulate(log.t_s + off_s - off_s[0]))
+
+
+@pytest.mark.parametrize(
+    "kind", ["a clock that drifts and skips", "a clock that skips", "rows that are read late"]
+)
+def test_stamps_that_are_off_are_no_moments(kind):
+    """Each makes every sensor jump as far as it goes in that time: five times and more."""
+    case = truth_case()
+    assert moments_in([stamped(log, kind) for log in logs_of(case)]) == []
+
+
+def test_a_cut_out_shows_beside_stamps_that_are_off():
+    outages = {"duration_s": 0.02, "period_s": 0.7}
+    effect = {"name": "driver_outage", "parameters": outages, "wheel": 3}
+    logs = [stamped(log, "a clock that skips") for log in logs_of(truth_case((effect,)))]
+    found = moments_in(logs)
+    assert len(found) >= LEAST_MOMENTS
+    squares = np.mean([one.jump_rad_s**2 for one in found], axis=0)
+    assert squares[2] > 0.8 * squares.sum()
+
+
 def test_words_tell_how_often_which_wheel_and_when_most():
     jumps = [np.array([0.5, 0.0, size, -0.4]) for size in (19.0, -21.0, 20.0, 18.0)]
     moments = [Moment("log_1", 1.0 + k, 50.0 + k, jump) for k, jump in enumerate(jumps)]

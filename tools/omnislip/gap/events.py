@@ -618,8 +618,8 @@ class Jumps:
         innovation = np.where(sampled, track.innovation.reshape(rows, m), 0.0)
         self.white = np.einsum("rij,rj->ri", whitening, innovation)
         self.shown = -(whitening @ slope)
-        transition = track.transition.reshape(rows, n, n)
-        self.carry = transition - transition @ gain @ slope
+        self._transition = track.transition.reshape(rows, n, n)
+        self.carry = self._transition - self._transition @ gain @ slope
         self.horizon = max(3, round(horizon_s / run.row_s))
         self._unit = np.eye(n)[:, jumped]
         self.t_s = run.t_s
@@ -651,6 +651,40 @@ class Jumps:
         ratio[: self.first if first_row is None else first_row] = 0.0
         return ratio, jump, ratio / np.maximum(energy, 1e-12)
 
+    def ratio_beside_stamps(self, row: int, rate: Array, stamp_s: float) -> float:
+        """Return g of a jump before a row beside stamps that are off and a clock that skips there.
+
+        `rate` (rows, filter states): what the state does in a second, for what was read late is
+        that much further on. `stamp_s` is the standard deviation of how late.
+        """
+        end, first = min(row + self.horizon, len(self.white)), max(row - 1, 0)
+
+        def shown_by(error: Array, begin: int) -> Array:
+            shown = np.zeros((end - row, self.white.shape[1], error.shape[1]))
+            for k in range(begin, end):
+                shown[k - row] = self.shown[k] @ error
+                error = self.carry[k] @ error
+            return shown.reshape(-1, error.shape[1])
+
+        stamps = [shown_by(rate[row][:, None], row)]
+        for k in range(first, end):  # the row before may still mislead the filter
+            own = shown_by(self._misled(k) @ rate[k][:, None], k + 1)
+            if k >= row:
+                own.reshape(end - row, -1)[k - row] = self.shown[k] @ rate[k]
+            stamps.append(own)
+        late, jump = np.hstack(stamps), shown_by(self._unit, row)
+        known = np.eye(late.shape[1]) / stamp_s
+        late, jump = (
+            np.vstack([late, known]),
+            np.vstack([jump, np.zeros((len(known), jump.shape[1]))]),
+        )
+        white = np.r_[self.white[row:end].ravel(), np.zeros(len(known))]
+        return _told_by(np.hstack([jump, late]), white) - _told_by(late, white)
+
+    def _misled(self, row: int) -> Array:
+        """Return what the state is off before the next row by a reading of another one."""
+        return self.carry[row] - self._transition[row]
+
     def likeliest_row(self, peak: int, raised: npt.NDArray[np.bool_]) -> int:
         """Return the row before which a push explains most of the rows around a peak of g.
 
@@ -674,6 +708,12 @@ class Jumps:
             right -= response.T @ self.white[k]
             error = self.carry[k] @ error
         return float(right @ np.linalg.solve(information, right))
+
+
+def _told_by(response: Array, white: Array) -> float:
+    """Return how much of the squares of `white` (rows,) a fit by the columns takes away."""
+    left = white - response @ np.linalg.lstsq(response, white, rcond=None)[0]
+    return float(white @ white - left @ left)
 
 
 def peaks(t_s: Array, ratio: Array, threshold: float) -> list[int]:

@@ -129,7 +129,7 @@ IN_PLACES, IN_PLACES_SHARE = 300.0, 0.02
 """Gain, inflated as it may be, that chance did not give any refused effect where nothing is missing
 (36 nulls: 216 once, of friction near rest, else 76 at most), and share of what is named: the square
 of a seventh (beside 34 right names that close the gap 0.006 at most)."""
-PREDICTED_SHARE, SENSOR_SHARE = 0.15, 0.05
+PREDICTED_SHARE, SENSOR_SHARE, CURRENT_SHARE = 0.15, 0.05, 0.15
 LASTING_SHARES = {
     ahead_s: factor * float(np.exp(-2.0 * LASTING_RATE_1_S * ahead_s))
     for factor, (ahead_s, *_) in zip((1.0, 1.5), OWN_PASTS_S, strict=True)
@@ -141,7 +141,8 @@ the slowest chance tells of itself 60 ms ahead (0.34): what fades within a tenth
 else tells 0.39 to 0.9. And half as much again as that chance tells 120 ms ahead (0.17): there it
 gave 0.11 at most, loads that swing 0.23 to 0.51. Innovations of a sensor are white: of 50 models
 with nothing missing they told 0.01 of themselves at most, those of a supply that dips on its own
-0.29, of a marker on a mast 0.33. More than half of the runs that hold disturbances
+0.29, of a marker on a mast 0.33. Currents are read at an instant, whose command no log has: just
+after a fast controller moved they told 0.07. More than half of the runs that hold disturbances
 have to be helped, two or more: some hardly excite what is missing."""
 VARIES, VARIES_SURELY, VARIED_REST = 1.0 / 3.0, 3.0, 100.0
 """Change of an effect's size from half second to half second, relative to itself, from which it is
@@ -683,7 +684,7 @@ def _better_without_name(selected: Sequence[Selected]) -> list[Selected]:
 def _no_chance(found: Predictable) -> bool:
     """Whether what the filter takes for chance is predicted in most of the runs, two or more."""
     if found.equation not in EQUATIONS:
-        least = SENSOR_SHARE
+        least = CURRENT_SHARE if found.equation.endswith("current_a") else SENSOR_SHARE
     else:
         least = LASTING_SHARES[found.ahead_s] if found.from_own_past else PREDICTED_SHARE
     enough = found.runs_helped > max(found.runs / 2, 1)

@@ -6,8 +6,10 @@ gains little, nothing predicts it, and the noise that is tuned holds it; but cha
 As for pushes (events.py), g is the likelihood ratio of a jump before each row, here of the four
 shafts' speeds: chi-squared with 4 degrees of freedom where nothing happened. A moment is a peak of
 g that stands out from chance and from its run's own level. Where a command jumps it is none, for
-the mean of a row does not tell when within the row it did, nor where rows were lost. A few moments
-in two logs or more say that something is there.
+the mean of a row does not tell when within the row it did, nor where rows were lost. Nor is it what
+the rows' stamps may be off by: a row that was read d late shows every sensor as much further on as
+it goes in d, and a clock that skips shows it so from then on. A jump has to gain beside both, each
+known to be some `STAMP_S`. A few moments in two logs or more say that something is there.
 """
 
 from collections.abc import Sequence
@@ -19,7 +21,7 @@ import numpy.typing as npt
 from omnislip import _core
 from omnislip.gap.events import COMMAND_JUMP, SPAN_ROWS, Jumps, peaks
 from omnislip.gap.machine import Machine
-from omnislip.gap.noise import SHAFT
+from omnislip.gap.noise import SHAFT, STAMP_S
 from omnislip.gap.recordings import Run
 from omnislip.gap.side_by_side import side_by_side
 
@@ -65,11 +67,13 @@ def _moments_in(machine: Machine, run: Run, track: _core.Track) -> list[Moment]:
     jumps = Jumps(machine, run, track, SHAFT, HORIZON_S)
     ratio, jump, _ = jumps.ratios()
     level = float(np.percentile(ratio[jumps.first :], 80))
+    least = max(LEAST_RATIO, OVER_LEVEL * level)
+    rate = np.gradient(track.state.reshape(len(run.t_s), -1), run.t_s, axis=0)
     unsure = _unsure(run)
     return [
         Moment(run.name, float(run.t_s[row]), float(ratio[row]), jump[row])
-        for row in peaks(run.t_s, ratio, max(LEAST_RATIO, OVER_LEVEL * level))
-        if not unsure[row]
+        for row in peaks(run.t_s, ratio, least)
+        if not unsure[row] and jumps.ratio_beside_stamps(row, rate, STAMP_S) > least
     ]
 
 
@@ -77,5 +81,6 @@ def _unsure(run: Run) -> npt.NDArray[np.bool_]:
     """Rows (rows,) beside which it is not known what was commanded when."""
     jumped = np.abs(np.diff(run.command, axis=0, prepend=run.command[:1])).max(axis=1)
     lost = np.diff(run.t_s, prepend=run.t_s[0] - run.row_s) > LOST * run.row_s
+    parted = np.isin(np.arange(len(run.t_s)), run.jumped)
     beside = np.ones(2 * SPAN_ROWS + 1)
-    return np.convolve((jumped > COMMAND_JUMP) | lost, beside, mode="same") > 0
+    return np.convolve((jumped > COMMAND_JUMP) | lost | parted, beside, mode="same") > 0

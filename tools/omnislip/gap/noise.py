@@ -48,6 +48,9 @@ STEP_S = 5e-3
 """Longest integration step of predictions; stiffness and jumps ask for shorter ones. Against steps
 of 10 us it changes whitened innovations by 0.002 to 0.006 (standard deviation, six logs), their sum
 of squares by less than 2."""
+STAMP_S = 5e-4
+"""Standard deviation of what the stamp of a row may be off by, where something else is to be told
+from it: a system that stamps what it reads when it finds time."""
 CONVERGED, LITTLE = 3.0, 0.01
 """Gain of log-likelihood below which another round is not worth it, alone and as a share of what
 was gained before: where that is much the model is off, and will be fitted before the next path."""

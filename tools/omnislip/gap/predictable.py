@@ -22,7 +22,8 @@ asks for more. A load that swings tells as much of itself after 120 ms, where it
 
 What sensors show besides need not move the robot: a supply that dips, a marker on a mast that
 sways. Innovations of a sensor are white where nothing is missing, and tell at most 1 % of
-themselves after 60 ms (or three readings of a slow one). They are asked for their own past, too.
+themselves after 60 ms (or three readings of a slow one). They are asked for their own past, too,
+but for what a clock that drifts and skips shows in all of them.
 
 No term has to be guessed beforehand, so this finds hysteresis, products and thresholds too; it does
 not say what they are (unknown.py tries to). Beside effects that explain nearly everything a small
@@ -43,7 +44,7 @@ from threadpoolctl import threadpool_limits
 from omnislip import _core
 from omnislip.gap.answers import foreseen, lead_rows
 from omnislip.gap.machine import LESS_GRIP, Machine
-from omnislip.gap.noise import BODY, DISTURBANCES, SHAFT, YAW, Noise, track_all
+from omnislip.gap.noise import BODY, DISTURBANCES, SHAFT, STAMP_S, YAW, Noise, track_all
 from omnislip.gap.recordings import Run
 from omnislip.gap.side_by_side import side_by_side
 
@@ -181,18 +182,19 @@ def _of_sensors(
 ) -> list[Predictable]:
     """Return the share of each sensor's innovations that their own past tells.
 
-    `tracks` are those of the final model, `unnamed` of the one without effects.
+    `tracks` are those of the final model with their matrices, `unnamed` of the one without effects.
+    What the stamps of rows may be off by is taken out of the first.
     """
     found = []
+    as_stamped = [_without_stamps(run, track) for run, track in zip(runs, tracks, strict=True)]
     for output, channel in enumerate(runs[0].channels):
         targets, pasts, owners, there = [], [], [], 0.0
-        for run, track, before in zip(runs, tracks, unnamed, strict=True):
+        for run, own, before in zip(runs, as_stamped, unnamed, strict=True):
             rows = np.flatnonzero(~np.isnan(run.outputs[:, output]) & (run.t_s >= run.settled_s))
             if len(rows) < 2:
                 continue
-            innovation, unexplained = (
-                own.innovation.reshape(run.outputs.shape)[rows, output] for own in (track, before)
-            )
+            innovation = own[rows, output]
+            unexplained = before.innovation.reshape(run.outputs.shape)[rows, output]
             t_s, interval_s = run.t_s[rows], float(np.median(np.diff(run.t_s[rows])))
             slower = max(1.0, LEAST_READINGS * interval_s / SENSOR_PAST_S[0])
             then_s = t_s[:, None] - slower * np.array(SENSOR_PAST_S)
@@ -206,6 +208,24 @@ def _of_sensors(
         ahead_s = SENSOR_PAST_S[0]
         found.append(_share(channel, target, owner, past, _by_line, ahead_s, REST * there))
     return found
+
+
+def _without_stamps(run: Run, track: _core.Track) -> Array:
+    """Innovations (rows, outputs) without what a late stamp of each row likely does to them.
+
+    Clocks that drift and skip tell of themselves: all sensors are as much further on as they go in
+    that time.
+    """
+    rows, outputs = run.outputs.shape
+    sampled = ~np.isnan(run.outputs)
+    innovation = np.where(sampled, track.innovation.reshape(rows, outputs), 0.0)
+    rate = np.gradient(track.state.reshape(rows, -1), run.t_s, axis=0)
+    late = np.einsum("rij,rj->ri", track.slope.reshape(rows, outputs, -1), rate) * sampled
+    whitening = track.whitening.reshape(rows, outputs, outputs)
+    white, white_late = (np.einsum("rij,rj->ri", whitening, each) for each in (innovation, late))
+    told = np.sum(white_late**2, axis=1) + STAMP_S**-2
+    late_s = np.sum(white_late * white, axis=1) / told
+    return innovation - late_s[:, None] * late
 
 
 def _friction(machine: Machine, values: Array, state: Array, command: Array) -> Array:

@@ -110,6 +110,8 @@ def nameless(machine: Machine) -> list[Term]:
     angles = _wheel_angles(float(machine.model.values["motor.gear_ratio"]))
     no_load_rad_s = no_load_speed_rad_s(machine)
     of_motors = MOTOR_SHAPES | _current_shapes(no_load_rad_s)
+    if machine.holds_commands:  # what moves within rows does the like of it
+        of_motors |= HELD_SHAPES
     terms = [
         Term(f"{where}/torque", name, wheels, shape, over=Quantity(name, "1", shape))
         for where, wheels in EVERYWHERE.items()
@@ -399,10 +401,12 @@ def side_terms(axis: int, edge_m: float) -> list[Term]:
     ]
 
 
-MOTOR_SHAPES: dict[str, Callable[..., Array]] = {
+HELD_SHAPES: dict[str, Callable[..., Array]] = {
     "change of the command, by its size": lambda x, d, t, i: (
         np.mean(np.abs(d), axis=1) * np.diff(d[:, i], prepend=d[0, i])
     ),
+}
+MOTOR_SHAPES: dict[str, Callable[..., Array]] = {
     **{
         f"command of the {name} wheel": lambda x, d, t, i, further=further: d[:, (i + further) % 4]
         for further, name in ((1, "next"), (2, "opposite"), (3, "previous"))
