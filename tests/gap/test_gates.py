@@ -200,6 +200,32 @@ def test_a_mistake_is_told(good, mistake):
     assert "\n" not in complaint
 
 
+def test_counts_do_not_jump_where_stamps_do(good):
+    """Stamps 1 ms off make counts seem to jump by 220; a counter that loses 2,000 is told."""
+    off_s = np.clip(np.random.default_rng(0).normal(0.0, 1e-3, len(good.t_s)), -2e-3, 2e-3)
+    stamped = replace(good, t_s=good.t_s + off_s - off_s[0])
+    assert gates._jumping_counts(MACHINE, stamped) is None
+    counts = stamped.columns[COUNTS[1]] - 2000.0 * (np.arange(len(good.t_s)) > 700)
+    lost = spoilt(stamped, wheel__2__encoder_counts=counts)
+    assert "wheel/2/encoder_counts jumps by about" in gates._jumping_counts(MACHINE, lost)
+
+
+@pytest.mark.parametrize(("off", "told"), [(0.0, True), (0.9, False)])
+def test_wheels_that_spin_on_ice_are_no_wrong_unit(good, off, told):
+    """A twelfth of the way of the wheels: always or, on ice, more or less."""
+    windows = np.random.default_rng(0).uniform(-off, off, 100)[(good.t_s / 0.1).astype(int)]
+    columns = {}
+    for name in POSE[:2]:
+        shown = np.interp(
+            good.t_s, good.t_s[rows := ~np.isnan(good.columns[name])], good.columns[name][rows]
+        )
+        gone = np.cumsum(np.diff(shown, prepend=shown[0]) * (1.0 + windows) / 12.0)
+        columns[name] = np.where(rows, gone, np.nan)
+    complaint = gates._wrong_scale(MACHINE, replace(good, columns=good.columns | columns))
+    assert (complaint is not None) == told
+    assert complaint is None or "times the way of the wheels" in complaint
+
+
 @pytest.mark.parametrize("mistake", ["gyro in degrees", "camera late", "counter of 12 bit"])
 def test_a_mistake_is_a_verdict_without_a_name(good, mistake, tmp_path):
     write_log(good, tmp_path / "good.csv")
