@@ -68,7 +68,8 @@ def verdict_of(
     x = np.array([p.high if i < keys_at_ends else (p.low + p.high) / 2 for i, p in enumerate(keys)])
     hypothesis = SimpleNamespace(base=keys, parameters=keys, x=x)
     left = [SimpleNamespace(gain=left[0], inflation=1.0, covered=left[1])] if left else []
-    data = SimpleNamespace(feigned_gain=feigned_gain)
+    runs = [SimpleNamespace(row_s=0.005)]
+    data = SimpleNamespace(feigned_gain=feigned_gain, machine=ROBOT, runs=runs)
     final = SimpleNamespace(hypothesis=hypothesis)
     outcome = SimpleNamespace(
         selected=effects, leftover=left, trials=trials, data=data, final=final
@@ -196,7 +197,7 @@ def test_what_explains_much_in_few_places_is_something_unless_names_cover_it(
     """So much, though that inflation leaves it to chance; not what gave way to what was taken.
 
     Nor another law of friction, for no robot has the believed one; nor what is no chance, but
-    refused for another reason.
+    refused for another reason; nor a lag so short that commands which move within rows make it.
     """
     evidence = Evidence(gain, 60.0, 0.1, np.eye(1), 0.0)
     trials = [
@@ -207,9 +208,12 @@ def test_what_explains_much_in_few_places_is_something_unless_names_cover_it(
             validation_gain=1.0,
             evidence=evidence,
             candidate=SimpleNamespace(effect="coulomb_friction"),
+            values=np.array([0.01]),
             chance=0.1,
         )
     ]
+    short = {"candidate": SimpleNamespace(effect="driver_lag"), "values": np.array([4e-4])}
+    trials.append(replace_namespace(trials[0], evidence=BY_FAR, **short))
     of_friction = SimpleNamespace(effect="contact_shape")
     trials.append(replace_namespace(trials[0], evidence=BY_FAR, candidate=of_friction))
     trials.append(replace_namespace(trials[0], evidence=BY_FAR, chance=1e-4))

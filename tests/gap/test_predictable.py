@@ -18,11 +18,11 @@ from omnislip.model_file import NOMINAL_ROBOT, read_model
 from omnislip.scenario import read_scenario
 from omnislip.simulate import run_scenario
 from scipy.signal import lfilter
-from truth_bench import logs_of, runs_of
+from truth_bench import logs_of
 
 
-def shares_of(effects=(), runs=6, seed=3, **changed):
-    """Shares of runs of the generator."""
+def shares_of(effects=(), runs=6, seed=3, bend=None, **changed):
+    """Shares of runs of the generator; `bend` changes the logs."""
     case = TruthCase(
         seed,
         effects=effects,
@@ -33,7 +33,8 @@ def shares_of(effects=(), runs=6, seed=3, **changed):
         **changed,
     )
     machine = Machine(read_model(NOMINAL_ROBOT))
-    return shares_in(machine, runs_of(machine, case))
+    logs = [bend(log) if bend else log for log in logs_of(case)]
+    return shares_in(machine, [make_run(machine, log) for log in logs])
 
 
 def shares_in(machine, logs):
@@ -128,6 +129,23 @@ def test_a_force_of_no_catalogue_is_predicted_where_it_acts(closed_loop):
     assert found[0].equation.startswith("body/")
     assert found[0].share > PREDICTED_SHARE
     assert found[0].runs_helped > found[0].runs / 2
+
+
+@pytest.mark.parametrize("closed_loop", [False, True])
+def test_a_driver_with_a_fine_ripple_over_its_command_is_no_chance(closed_loop):
+    """Logged is d, applied d + 0.008 sin(2 pi d / 0.06): seventeen waves up to full duty."""
+    logged = np.linspace(-1.1, 1.1, 20001)
+    applied = logged + 0.008 * np.sin(2.0 * np.pi * logged / 0.06)
+
+    def rippling(log):
+        names = [f"wheel/{wheel}/duty" for wheel in range(1, 5)]
+        duties = {name: np.interp(log.columns[name], applied, logged) for name in names}
+        return replace(log, columns=log.columns | duties)
+
+    found = [one for one in shares_of(bend=rippling, closed_loop=closed_loop) if one.ahead_s == 0.0]
+    for wheel in range(1, 5):
+        shares = [one.share for one in found if one.equation == f"wheel/{wheel}/torque"]
+        assert max(shares) > 2.0 * PREDICTED_SHARE
 
 
 def test_what_lasts_is_no_chance_whatever_it_goes_with():

@@ -77,6 +77,7 @@ from omnislip.gap.search import (
     Trial,
     first_model,
     search,
+    within_row,
 )
 from omnislip.gap.unknown import Unknown, describe_unknown
 from omnislip.gap.where import Map, Place, describe, map_gap
@@ -701,14 +702,21 @@ def _refused_in_places(outcome: Outcome, table: GapTable) -> Trial | None:
 
     Something is there, then, that has none of the shapes that are known. What is named covers that
     where it surely closes half of the gap, or gains so much more that its own shape, a seventh off,
-    leaves as much. What changes the friction over slip is no news.
+    leaves as much. What changes the friction over slip is no news, nor is a lag so short
+    that commands which move within rows make it.
     """
     trials = _last_trials(outcome)
     if any(trial.accepted for trial in trials) or (table.closed.low or 0.0) > PROVEN:
         return None
     named = sum(s.evidence.gain for s in outcome.selected)
     trials = [t for t in trials if t.candidate.effect not in FRICTION_OVER_SLIP]
-    checked = [trial for trial in trials if trial.checked and trial.chance >= ALPHA]
+    checked = [
+        trial
+        for trial in trials
+        if trial.checked
+        and trial.chance >= ALPHA
+        and not within_row(outcome.data, trial.candidate, trial.values)
+    ]
     most = max(checked, key=lambda trial: trial.evidence.gain, default=None)
     least = max(IN_PLACES, outcome.data.feigned_gain, IN_PLACES_SHARE * named)
     return most if most and most.evidence.gain > least else None

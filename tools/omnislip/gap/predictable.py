@@ -20,6 +20,11 @@ the disturbances' own past is asked too, linearly. (Chance of a bandwidth of 10 
 itself after 60 ms, of 3 Hz a tenth, of 1.6 Hz 0.3, and after 120 ms the square of that: find.py
 asks for more. A load that swings tells as much of itself after 120 ms, where it swings back.)
 
+Nor does what a driver makes of its command have to be smooth: a bridge that knows coarse steps of
+duty pushes every way in turn, over steps that no tree resolves. So each shaft's disturbances are
+asked, too, for any curve over its own command, in fine bins, beside what is linear in how that
+command changed: for that is how a controller answers chance.
+
 What sensors show besides need not move the robot: a supply that dips, a marker on a mast that
 sways. Innovations of a sensor are white where nothing is missing, and tell at most 1 % of
 themselves after 60 ms (or three readings of a slow one). They are asked for their own past, too,
@@ -56,6 +61,9 @@ EQUATIONS = (
     "body/force_y",
     "body/moment",
 )
+BINS, BIN_ROWS, SINCE_S = 60, 5.0, 0.0075
+"""Of a command, with as many rows each; rows of nothing by which each is held to none; and time
+after which disturbances show what it did."""
 ROW_S = 0.01
 """Disturbances last some 10 ms: rows nearer than that tell the same."""
 FOLDS = 4
@@ -114,7 +122,7 @@ def predictable_shares(
     names = list(dict.fromkeys(run.name for run in runs))
     if machine.kind != "robot" or len(names) < LEAST_RUNS:
         return []
-    features, pasts, targets, there, friction, owners = [], [], [], [], [], []
+    features, driven, pasts, targets, there, friction, owners = [], [], [], [], [], [], []
     gear = float(machine.model.values["motor.gear_ratio"])
     after = _states(runs, tracks)
     unnamed = track_all(machine, runs, without, noise)
@@ -123,25 +131,29 @@ def predictable_shares(
         rows = _sparse_rows(run)
         seen = np.maximum(rows - lead_rows(run), 0) if answers else rows
         features.append(_features(run, state if answers else foreseen(run, track), gear)[seen])
+        driven.append(_driven_by(run, rows))
         pasts.append([_own_past(run, state[:, DISTURBANCES], rows, s) for s in OWN_PASTS_S])
         targets.append(state[rows][:, DISTURBANCES])
         there.append(unexplained[rows][:, DISTURBANCES])
         friction.append(_friction(machine, values, state[rows], run.command[rows]))
         owners.append(np.full(len(rows), names.index(run.name)))
-    x, y, owner = (np.concatenate(each) for each in (features, targets, owners))
+    x, u, y, owner = (np.concatenate(each) for each in (features, driven, targets, owners))
     later, latest = (np.concatenate(each) for each in zip(*pasts, strict=True))
     least = REST * np.sum(np.concatenate(there) ** 2, axis=0)
     least = np.maximum(least, SEEN * noise.coloured * len(y))
     least = np.maximum(least, FRICTION_SHARE * np.sum(np.concatenate(friction) ** 2, axis=0))
 
     def shares_of(index: int) -> list[Predictable]:
+        asked = [
+            (x, _by_trees, 0.0),
+            (later[:, index], _by_line, OWN_PASTS_S[0][0]),
+            (latest[:, index], _by_line, OWN_PASTS_S[1][0]),
+        ]
+        if index < u.shape[1]:
+            asked.append((u[:, index], _by_bins, 0.0))
         return [
             _share(EQUATIONS[index], y[:, index], owner, known, predicted, ahead_s, least[index])
-            for known, predicted, ahead_s in (
-                (x, _by_trees, 0.0),
-                (later[:, index], _by_line, OWN_PASTS_S[0][0]),
-                (latest[:, index], _by_line, OWN_PASTS_S[1][0]),
-            )
+            for known, predicted, ahead_s in asked
         ]
 
     shares = side_by_side(shares_of, range(len(EQUATIONS)))
@@ -250,6 +262,34 @@ def _own_past(
 
 def _by_line(x: Array, y: Array, unseen: Array) -> Array:
     return unseen @ np.linalg.lstsq(x, y, rcond=None)[0]
+
+
+def _driven_by(run: Run, rows: npt.NDArray[np.intp]) -> Array:
+    """Own command (rows, wheels, 1 + lags) that drove each shaft before `rows`, and its changes."""
+    drove = run.t_s[rows] - SINCE_S
+    earlier = [
+        np.stack([column[_rows_at(run.t_s, drove - past_s)] for column in run.command.T], axis=1)
+        for past_s in (0.0, *PAST_S)
+    ]
+    return np.stack([earlier[0], *(earlier[0] - past for past in earlier[1:])], axis=2)
+
+
+def _rows_at(t_s: Array, times_s: Array) -> npt.NDArray[np.intp]:
+    """Row that lasts at each time: its command holds until the next one."""
+    return np.maximum(np.searchsorted(t_s, times_s, side="right") - 1, 0)
+
+
+def _by_bins(x: Array, y: Array, unseen: Array) -> Array:
+    """Return what a curve over the command x[:, 0] adds to what is linear in it and its changes."""
+    edges = np.unique(np.quantile(x[:, 0], np.linspace(0.0, 1.0, BINS + 1)[1:-1]))
+    held = np.searchsorted(edges, x[:, 0])[:, None] == np.arange(len(edges) + 1)
+    columns = np.hstack([x, held])
+    square = columns.T @ columns
+    square[np.diag_indices_from(square)] += np.r_[
+        np.zeros(x.shape[1]), np.full(held.shape[1], BIN_ROWS)
+    ]
+    curve = np.linalg.lstsq(square, columns.T @ y, rcond=None)[0][x.shape[1] :]
+    return curve[np.searchsorted(edges, unseen[:, 0])]
 
 
 def _by_trees(x: Array, y: Array, unseen: Array) -> Array:

@@ -63,10 +63,11 @@ Array = npt.NDArray[np.float64]
 Progress = Callable[[str], None]
 
 ALPHA = 0.01
-SHAPE_SHARE = 1e-3
+SHAPE_SHARE, CURVE_SHARE = 1e-3, 1e-4
 """Square of how far a plant may be off an effect's shape: 3 % of what the effect does. And off the
 law of its friction over slip: of seven families, the keys of another one fitted to them, 0.4 to
-2.1 % was left to an effect that changes it."""
+2.1 % was left to an effect that changes it. The second where the friction curve is judged: named in
+vain it does no harm, but what it leaves beside a strong effect passes for an unknown one."""
 MOST_EFFECTS, MOST_STEPS, MOST_VAIN_STEPS = 4, 6, 2
 """The last: steps in turn whose effect is needless by the noise that is left beside it."""
 NEIGHBOURS, RIVALS = 16, 4
@@ -816,10 +817,8 @@ def _judge(
     absent = _neutral(data, without.hypothesis, candidate)
     chance = min(1.0, evidence.p_value * tried)
     reason, passed = _verdict(data, evidence, chance, check)
-    if passed and evidence.beyond_chance < SHAPE_SHARE * _left_by_others(
-        data, without, fitted, index
-    ):
-        off = 100 * SHAPE_SHARE**0.5
+    if passed and _left_by_shapes(data, without, fitted, index, evidence):
+        off = 100 * _shape_share(candidate) ** 0.5
         reason = f"real perhaps, but effects found would leave as much if {off:.0f} % off in shape"
         passed = False
     if passed and _within_law(data, without, fitted, index):
@@ -829,7 +828,7 @@ def _judge(
     sure = evidence.beyond_chance > SURE_GAIN
     if passed and replays and not _replays_better(data, without, fitted, check, sure):
         reason, passed = "helps the predictor but not replays of runs that were not fitted", False
-    if passed and _within_row(data, candidate, values):
+    if passed and within_row(data, candidate, values):
         reason, passed = "shorter than the log can time: a tenth of a row", False
     return Trial(
         step, candidate, values, evidence, chance, check.gain, check.voters.any(), reason, passed
@@ -1129,12 +1128,12 @@ def _both_pass(data: Data, without: Fit, both: Fit, check: Check, tried: int) ->
         evidence = weigh(data, rest, both, index)
         if evidence.p_value * tried >= ALPHA or evidence.beyond_chance < data.feigned_gain:
             return False
-        if evidence.beyond_chance < SHAPE_SHARE * _left_by_others(data, rest, both, index):
+        if _left_by_shapes(data, rest, both, index, evidence):
             return False
         if _within_law(data, rest, both, index):
             return False
         absent = _neutral(data, rest.hypothesis, effect)
-        if not _differs(effect, sizes - absent, evidence) or _within_row(data, effect, sizes):
+        if not _differs(effect, sizes - absent, evidence) or within_row(data, effect, sizes):
             return False
         sure = sure and evidence.beyond_chance > SURE_GAIN
     return _replays_better(data, without, both, check, sure)
@@ -1246,6 +1245,16 @@ def _left_by_others(data: Data, without: Fit, fitted: Fit, index: int) -> float:
     )
 
 
+def _left_by_shapes(data: Data, without: Fit, fitted: Fit, index: int, evidence: Evidence) -> bool:
+    """Whether the others would leave as much as effect `index` gains if a bit off in shape."""
+    share = _shape_share(fitted.hypothesis.effects[index])
+    return evidence.beyond_chance < share * _left_by_others(data, without, fitted, index)
+
+
+def _shape_share(candidate: Candidate) -> float:
+    return CURVE_SHARE if candidate.effect == CURVE else SHAPE_SHARE
+
+
 def _within_law(data: Data, without: Fit, fitted: Fit, index: int) -> bool:
     """Whether effect `index` changes the friction over slip by no more than any law is off.
 
@@ -1266,7 +1275,7 @@ def _left_by_law(data: Data, without: Fit, fitted: Fit) -> float:
     return SHAPE_SHARE * float(most)
 
 
-def _within_row(data: Data, candidate: Candidate, sizes: Array) -> bool:
+def within_row(data: Data, candidate: Candidate, sizes: Array) -> bool:
     """Whether a lag is so short that it may be the averaging of the command over a row."""
     resistance = float(data.machine.model.values.get("motor.resistance_ohm", 1.0))
     seconds = {
@@ -1380,8 +1389,7 @@ def _drop_needless(data: Data, fitted: Fit, tried: int) -> Fit:
             for index, one in enumerate(judged)
             if (one.p_value * tried >= ALPHA and one.beyond_chance < AHEAD_GAIN)
             or one.beyond_chance < data.feigned_gain
-            or one.beyond_chance
-            < SHAPE_SHARE * _left_by_others(data, without[index], fitted, index)
+            or _left_by_shapes(data, without[index], fitted, index, one)
             or _within_law(data, without[index], fitted, index)
         ]
         if not needless:
@@ -1489,7 +1497,7 @@ def _takes_its_place(data: Data, effect: Candidate, own: "_Compared", rival: Fit
     if _within_law(data, without, rival, -1):
         return False
     [check] = check_unseen(data, without, [rival])
-    return check.helps and not _within_row(data, candidate, sizes)
+    return check.helps and not within_row(data, candidate, sizes)
 
 
 def _rivals_of(
@@ -1579,7 +1587,7 @@ def _likeliest(
             for rival, lost in zip(one.rivals, one.lost(final), strict=True)
             if lost < max(RIVAL_MARGIN, NEARLY * one.evidence.beyond_chance)
             and rival.hypothesis.effects[-1].name not in settled
-            and not _within_row(data, rival.hypothesis.effects[-1], rival.hypothesis.values_of(-1))
+            and not within_row(data, rival.hypothesis.effects[-1], rival.hypothesis.values_of(-1))
         ]
         if not near:
             break
