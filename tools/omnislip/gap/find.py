@@ -1079,6 +1079,7 @@ def _sentence(
             text += f": {term.equation}, depending on {term.dependence}"
         elif sure := [one for one in shares if _no_chance(one)]:
             source = "their own past" if sure[0].from_own_past else "commands, speeds and place"
+            source = "a curve over its own command" if sure[0].by_own_command else source
             text += (
                 f": {100 * sure[0].share:.0f} % of what passes for chance in "
                 f"{sure[0].equation} can be predicted from {source}"

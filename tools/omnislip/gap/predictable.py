@@ -91,9 +91,9 @@ TREES = {"max_iter": 50, "learning_rate": 0.1, "max_leaf_nodes": 8, "min_samples
 @dataclass(frozen=True)
 class Predictable:
     """Share of the disturbances of one equation, or of the innovations of one sensor, that is
-    predicted, from their own past or from what the robot did, as learned on other runs; in how many
-    runs that is nearer than nothing, of those that hold enough of them: a hollow in the floor stirs
-    the runs that come by."""
+    predicted, from their own past or from what the robot did, as learned on other runs (of a shaft
+    also by a curve over its own command); in how many runs that is nearer than nothing, of those
+    that hold enough of them: a hollow in the floor stirs the runs that come by."""
 
     equation: str
     from_own_past: bool
@@ -102,6 +102,7 @@ class Predictable:
     share: float
     runs_helped: int
     runs: int
+    by_own_command: bool = False
 
 
 def predictable_shares(
@@ -183,7 +184,8 @@ def _share(
     share = float((whole.sum() - left.sum()) / max(whole.sum(), least, 1e-300))
     stirred = whole >= STIRRED * whole.mean()
     helped, voters = int(np.sum(left[stirred] < whole[stirred])), int(stirred.sum())
-    return Predictable(equation, predicted is _by_line, ahead_s, share, helped, voters)
+    past, command = predicted is _by_line, predicted is _by_bins
+    return Predictable(equation, past, ahead_s, share, helped, voters, command)
 
 
 def _of_sensors(
