@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -725,3 +726,13 @@ def test_what_ages_goes_on_from_part_to_part_of_a_log(machine, parts):
     ]
     outcome = search(machine, runs, None, silent)
     assert [term.dependence for term in outcome.leftover[:1]] == ["time and speed"]
+
+
+@pytest.mark.parametrize(("name", "left"), [("contact_shape", False), ("rolling_resistance", True)])
+def test_the_friction_curve_owes_less_to_the_shapes_of_strong_effects(monkeypatch, name, left):
+    """A gain of 3,700 beside effects that leave 8,000 if 3 % off, as beside a strong dead zone."""
+    monkeypatch.setattr(search_module, "_left_by_others", lambda *_: 8e6)
+    effect = SimpleNamespace(effect=name)
+    fitted = SimpleNamespace(hypothesis=SimpleNamespace(effects=(effect,)))
+    evidence = SimpleNamespace(beyond_chance=3700.0)
+    assert search_module._left_by_shapes(None, None, fitted, 0, evidence) == left
