@@ -730,9 +730,9 @@ def test_what_ages_goes_on_from_part_to_part_of_a_log(machine, parts):
 
 @pytest.mark.parametrize(("name", "left"), [("contact_shape", False), ("rolling_resistance", True)])
 def test_the_friction_curve_owes_less_to_the_shapes_of_strong_effects(monkeypatch, name, left):
-    """A gain of 3,700 beside effects that leave 8,000 if 3 % off, as beside a strong dead zone."""
+    """27,500, 3,700 beyond chance, where others leave 8,000 if 3 % off: beside a dead zone."""
     monkeypatch.setattr(search_module, "_left_by_others", lambda *_: 8e6)
     effect = SimpleNamespace(effect=name)
     fitted = SimpleNamespace(hypothesis=SimpleNamespace(effects=(effect,)))
-    evidence = SimpleNamespace(beyond_chance=3700.0)
+    evidence = SimpleNamespace(gain=27500.0, beyond_chance=3700.0)
     assert search_module._left_by_shapes(None, None, fitted, 0, evidence) == left

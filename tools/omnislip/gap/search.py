@@ -63,11 +63,10 @@ Array = npt.NDArray[np.float64]
 Progress = Callable[[str], None]
 
 ALPHA = 0.01
-SHAPE_SHARE, CURVE_SHARE = 1e-3, 1e-4
+SHAPE_SHARE = 1e-3
 """Square of how far a plant may be off an effect's shape: 3 % of what the effect does. And off the
 law of its friction over slip: of seven families, the keys of another one fitted to them, 0.4 to
-2.1 % was left to an effect that changes it. The second where the friction curve is judged: named in
-vain it does no harm, but what it leaves beside a strong effect passes for an unknown one."""
+2.1 % was left to an effect that changes it."""
 MOST_EFFECTS, MOST_STEPS, MOST_VAIN_STEPS = 4, 6, 2
 """The last: steps in turn whose effect is needless by the noise that is left beside it."""
 NEIGHBOURS, RIVALS = 16, 4
@@ -818,7 +817,7 @@ def _judge(
     chance = min(1.0, evidence.p_value * tried)
     reason, passed = _verdict(data, evidence, chance, check)
     if passed and _left_by_shapes(data, without, fitted, index, evidence):
-        off = 100 * _shape_share(candidate) ** 0.5
+        off = 100 * SHAPE_SHARE**0.5
         reason = f"real perhaps, but effects found would leave as much if {off:.0f} % off in shape"
         passed = False
     if passed and _within_law(data, without, fitted, index):
@@ -1246,13 +1245,14 @@ def _left_by_others(data: Data, without: Fit, fitted: Fit, index: int) -> float:
 
 
 def _left_by_shapes(data: Data, without: Fit, fitted: Fit, index: int, evidence: Evidence) -> bool:
-    """Whether the others would leave as much as effect `index` gains if a bit off in shape."""
-    share = _shape_share(fitted.hypothesis.effects[index])
-    return evidence.beyond_chance < share * _left_by_others(data, without, fitted, index)
+    """Whether the others would leave as much as effect `index` gains if a bit off in shape.
 
-
-def _shape_share(candidate: Candidate) -> float:
-    return CURVE_SHARE if candidate.effect == CURVE else SHAPE_SHARE
+    Of a name's gain only what is beyond chance counts, of the friction curve's all: named in vain
+    it does no harm, but what it leaves beside a strong effect passes for an unknown one.
+    """
+    curve = fitted.hypothesis.effects[index].effect == CURVE
+    gain = evidence.gain if curve else evidence.beyond_chance
+    return gain < SHAPE_SHARE * _left_by_others(data, without, fitted, index)
 
 
 def _within_law(data: Data, without: Fit, fitted: Fit, index: int) -> bool:
