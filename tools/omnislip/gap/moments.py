@@ -6,7 +6,8 @@ gains little, nothing predicts it, and the noise that is tuned holds it; but cha
 As for pushes (events.py), g is the likelihood ratio of a jump before each row, here of the four
 shafts' speeds: chi-squared with 4 degrees of freedom where nothing happened. A moment is a peak of
 g that stands out from chance and from its run's own level. Where a command jumps it is none, for
-the mean of a row does not tell when within the row it did, nor where rows were lost. Nor is it what
+the mean of a row does not tell when within the row it did, nor where rows were lost; and where it
+bends, a jump has to be larger than what that may feign. Nor is it what
 the rows' stamps may be off by: a row that was read d late shows every sensor as much further on as
 it goes in d, and a clock that skips shows it so from then on. A jump has to gain beside both, each
 known to be some `STAMP_S`. A few moments in two logs or more say that something is there.
@@ -17,11 +18,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import maximum_filter1d
 
 from omnislip import _core
 from omnislip.gap.events import COMMAND_JUMP, SPAN_ROWS, Jumps, peaks
 from omnislip.gap.machine import Machine
-from omnislip.gap.noise import SHAFT, STAMP_S
+from omnislip.gap.noise import SHAFT, STAMP_S, stall_acceleration_rad_s2
 from omnislip.gap.recordings import Run
 from omnislip.gap.side_by_side import side_by_side
 
@@ -31,6 +33,8 @@ HORIZON_S = 0.03
 LEAST_RATIO, OVER_LEVEL = 35.0, 6.0
 """g beyond which chance makes one in 300 sets of logs (p = 5e-7 a row), and factor by which it must
 exceed the 80th percentile of its run."""
+RINGS_S = 0.05
+"""For which a soft gear rings (12 N m/rad at a shaft: 40 ms)."""
 LEAST_MOMENTS, LEAST_LOGS = 3, 2
 LOST = 1.5
 """Rows after which the next one comes late."""
@@ -69,12 +73,29 @@ def _moments_in(machine: Machine, run: Run, track: _core.Track) -> list[Moment]:
     level = float(np.percentile(ratio[jumps.first :], 80))
     least = max(LEAST_RATIO, OVER_LEVEL * level)
     rate = np.gradient(track.state.reshape(len(run.t_s), -1), run.t_s, axis=0)
-    unsure = _unsure(run)
+    unsure, feigned_rad_s = _unsure(run), _feigned_rad_s(machine, run)
     return [
         Moment(run.name, float(run.t_s[row]), float(ratio[row]), jump[row])
         for row in peaks(run.t_s, ratio, least)
-        if not unsure[row] and jumps.ratio_beside_stamps(row, rate, STAMP_S) > least
+        if not unsure[row]
+        and np.abs(jump[row]).max() > feigned_rad_s[row]
+        and jumps.ratio_beside_stamps(row, rate, STAMP_S) > least
     ]
+
+
+def _feigned_rad_s(machine: Machine, run: Run) -> Array:
+    """Return the jumps (rows,) that a change of a command within the rows beside may feign.
+
+    Where a command that went evenly changes by c of a sudden, or begins to change, the row's mean
+    does not tell when: for half a row the motor has c more or less than by the mean. A soft gear
+    rings for a while with what that was off.
+    """
+    bent = np.zeros_like(run.command)
+    bent[1:-1] = np.abs(np.diff(run.command, 2, axis=0))
+    before = max(SPAN_ROWS, round(RINGS_S / run.row_s))
+    size = before + SPAN_ROWS + 1
+    most = maximum_filter1d(bent.max(axis=1), size, origin=before - size // 2)
+    return most * stall_acceleration_rad_s2(machine) * run.row_s / 2.0
 
 
 def _unsure(run: Run) -> npt.NDArray[np.bool_]:
