@@ -7,10 +7,10 @@ As for pushes (events.py), g is the likelihood ratio of a jump before each row, 
 shafts' speeds: chi-squared with 4 degrees of freedom where nothing happened. A moment is a peak of
 g that stands out from chance and from its run's own level. Where a command jumps it is none, for
 the mean of a row does not tell when within the row it did, nor where rows were lost; and where it
-bends, a jump has to be larger than what that may feign. Nor is it what
-the rows' stamps may be off by: a row that was read d late shows every sensor as much further on as
-it goes in d, and a clock that skips shows it so from then on. A jump has to gain beside both, each
-known to be some `STAMP_S`. A few moments in two logs or more say that something is there.
+bends, a jump has to be larger than what that may feign. Nor is it what the rows' stamps may be off
+by: a row that was read d late shows every sensor as much further on as it goes in d, and a clock
+that skips shows it so from then on. A jump has to gain beside both, each known to some `STAMP_S`.
+A few moments in two logs or more say that something is there.
 """
 
 from collections.abc import Sequence
