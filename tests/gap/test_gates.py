@@ -210,20 +210,27 @@ def test_counts_do_not_jump_where_stamps_do(good):
     assert "wheel/2/encoder_counts jumps by about" in gates._jumping_counts(MACHINE, lost)
 
 
-@pytest.mark.parametrize(("off", "told"), [(0.0, True), (0.9, False)])
-def test_wheels_that_spin_on_ice_are_no_wrong_unit(good, off, told):
-    """A twelfth of the way of the wheels: always or, on ice, more or less."""
+@pytest.mark.parametrize(
+    ("share", "off", "words"),
+    [
+        (1.0 / 12.0, 0.0, "times the way of the wheels"),
+        (1.0 / 12.0, 0.9, None),
+        (1e-3, 0.9, "is it in kilometres?"),
+    ],
+)
+def test_wheels_that_spin_on_ice_are_no_wrong_unit(good, share, off, words):
+    """A twelfth of the way of the wheels: always or, on ice, more or less. A unit shows in both."""
     windows = np.random.default_rng(0).uniform(-off, off, 100)[(good.t_s / 0.1).astype(int)]
     columns = {}
     for name in POSE[:2]:
         shown = np.interp(
             good.t_s, good.t_s[rows := ~np.isnan(good.columns[name])], good.columns[name][rows]
         )
-        gone = np.cumsum(np.diff(shown, prepend=shown[0]) * (1.0 + windows) / 12.0)
+        gone = np.cumsum(np.diff(shown, prepend=shown[0]) * (1.0 + windows) * share)
         columns[name] = np.where(rows, gone, np.nan)
     complaint = gates._wrong_scale(MACHINE, replace(good, columns=good.columns | columns))
-    assert (complaint is not None) == told
-    assert complaint is None or "times the way of the wheels" in complaint
+    assert (complaint is not None) == (words is not None)
+    assert words is None or words in complaint
 
 
 @pytest.mark.parametrize("mistake", ["gyro in degrees", "camera late", "counter of 12 bit"])

@@ -673,12 +673,10 @@ class Jumps:
                 own.reshape(end - row, -1)[k - row] = self.shown[k] @ rate[k]
             stamps.append(own)
         late, jump = np.hstack(stamps), shown_by(self._unit, row)
-        known = np.eye(late.shape[1]) / stamp_s
-        late, jump = (
-            np.vstack([late, known]),
-            np.vstack([jump, np.zeros((len(known), jump.shape[1]))]),
-        )
-        white = np.r_[self.white[row:end].ravel(), np.zeros(len(known))]
+        stamped, free = late.shape[1], jump.shape[1]
+        late = np.vstack([late, np.eye(stamped) / stamp_s])
+        jump = np.vstack([jump, np.zeros((stamped, free))])
+        white = np.r_[self.white[row:end].ravel(), np.zeros(stamped)]
         return _told_by(np.hstack([jump, late]), white) - _told_by(late, white)
 
     def _misled(self, row: int) -> Array:

@@ -532,8 +532,6 @@ def _wrong_scale(machine: Machine, log: Log) -> str | None:
             continue  # nothing that is only a factor
         what = "turn" if name != "pose/x_m" else "way"
         low, high = PLAUSIBLE_SCALE[name]
-        if abs(ratio) < low and spread > LIKE_SLIDING * abs(ratio):
-            continue
         if -high < ratio < -low:
             return f"{name} shows the {what} of the wheels with the sign reversed"
         if low < ratio < high:
@@ -541,6 +539,8 @@ def _wrong_scale(machine: Machine, log: Log) -> str | None:
         for factor, unit in UNITS[name].items():
             if factor / 2 < abs(ratio) < 2 * factor:
                 return f"{name} shows {ratio:.3g} times the {what} of the wheels: is it in {unit}?"
+        if abs(ratio) < low and spread > LIKE_SLIDING * abs(ratio):
+            continue
         return (
             f"{name} shows {ratio:.3g} times the {what} of the wheels: wrong unit, or "
             f"encoder.counts_per_rev, motor.gear_ratio or robot.wheel_radius_m is wrong?"
