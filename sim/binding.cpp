@@ -34,6 +34,7 @@ namespace {
 
 using Array1 = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using Array2 = nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+using Array3 = nb::ndarray<const double, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
 
 /* Hands a buffer over to numpy. */
 nb::object to_numpy(std::vector<double> &&data, const std::vector<std::size_t> &shape) {
@@ -318,7 +319,8 @@ class Engine {
                              const std::vector<const Track *> &tracks, const Array2 &process,
                              const Array2 &output, const Array2 &initial, const Array1 &timing_s2,
                              const Array1 &unresolved, const Array1 &unresolved_current,
-                             const Array2 &coloured, const Array1 &colour_rate_1_s) const {
+                             const Array2 &coloured, const Array1 &colour_rate_1_s,
+                             bool with_information) const {
         const std::size_t sets = process.shape(0);
         const std::size_t states = static_cast<std::size_t>(kernel_->states());
         const std::size_t outputs = static_cast<std::size_t>(kernel_->outputs());
@@ -343,13 +345,35 @@ class Engine {
                          unresolved.data()[i], unresolved_current.data()[i],
                          row(coloured),        colour_rate_1_s.data()[i]};
         }
-        std::vector<double> log_likelihood(sets, 0.0);
-        const nb::list covariances =
-            filled(recordings, sets, {outputs, outputs}, [&](const auto &covariance) {
-                likelihoods(*kernel_, recordings, tracks, noises, log_likelihood.data(),
-                            covariance);
-            });
-        return nb::make_tuple(to_numpy(std::move(log_likelihood), {sets}), covariances);
+        const std::size_t told = with_information ? sets : 0;
+        std::vector<double> log_likelihood(sets, 0.0), information(told * told);
+        {
+            nb::gil_scoped_release release;
+            likelihoods(*kernel_, recordings, tracks, noises, log_likelihood.data(),
+                        with_information ? information.data() : nullptr);
+        }
+        return nb::make_tuple(to_numpy(std::move(log_likelihood), {sets}),
+                              to_numpy(std::move(information), {told, told}));
+    }
+
+    nb::object response_of(const Recording &recording, const Track &track, const Array3 &push,
+                           const Array3 &shown) const {
+        check_tracks({&recording}, {&track});
+        require(!track.transition.empty(), "the track did not keep its matrices");
+        const std::size_t rows = static_cast<std::size_t>(recording.rows);
+        const std::size_t outputs = static_cast<std::size_t>(kernel_->outputs());
+        const std::size_t columns = push.shape(2);
+        require(push.shape(0) == rows && push.shape(1) == track.state.size() / rows &&
+                    shown.shape(0) == rows && shown.shape(1) == outputs &&
+                    shown.shape(2) == columns,
+                "pushes or what is shown have the wrong shape");
+        std::vector<double> result(rows * outputs * columns, 0.0);
+        {
+            nb::gil_scoped_release release;
+            respond(*kernel_, recording, track, push.data(), shown.data(),
+                    static_cast<int>(columns), result.data());
+        }
+        return to_numpy(std::move(result), {rows, outputs, columns});
     }
 
     nb::object derivatives_of(const Array1 &values, const Array2 &states,
@@ -720,9 +744,10 @@ void bind_replay(nb::module_ &m) {
              "initial"_a, "timing_s2"_a = 0.0, "unresolved"_a = 0.0, "unresolved_current"_a = 0.0,
              "coloured"_a = std::vector<double>(), "colour_rate_1_s"_a = 100.0, "step_s"_a = 1e-3,
              "window_s"_a = 1.0, "keep_linear"_a = false)
+        .def("response", &Engine::response_of, "recording"_a, "track"_a, "push"_a, "shown"_a)
         .def("likelihoods", &Engine::likelihoods_of, "recordings"_a, "tracks"_a, "process"_a,
              "output"_a, "initial"_a, "timing_s2"_a, "unresolved"_a, "unresolved_current"_a,
-             "coloured"_a, "colour_rate_1_s"_a)
+             "coloured"_a, "colour_rate_1_s"_a, "with_information"_a = false)
         .def("innovations", &Engine::innovations_of, "recordings"_a, "tracks"_a, "values"_a,
              "step_s"_a = 1e-3, "least_rate_1_s"_a = 0.0)
         .def("fastest_rate_1_s", &Engine::fastest_rate_1_s, "values"_a)

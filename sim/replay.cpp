@@ -42,6 +42,17 @@ double variance_along(const Matrix &slope, int row, const Matrix &p) {
     return sum;
 }
 
+/* Pairs of outputs that were sampled together, each with itself too, over all rows. */
+std::size_t sampled_pairs(const Track &track, int outputs) {
+    std::size_t pairs = 0;
+    for (auto row = track.innovation.begin(); row != track.innovation.end(); row += outputs) {
+        const auto sampled =
+            std::count_if(row, row + outputs, [](double shown) { return !std::isnan(shown); });
+        pairs += static_cast<std::size_t>(sampled * (sampled + 1) / 2);
+    }
+    return pairs;
+}
+
 std::atomic<int> most_threads{std::max(1, static_cast<int>(std::thread::hardware_concurrency()))};
 
 /* Runs `work(task)` for task = 0..count-1 on all cores; `work` must not throw. */
@@ -233,24 +244,54 @@ void replays(const Kernel &kernel, const std::vector<const Recording *> &recordi
                    });
 }
 
+void respond(const Kernel &kernel, const Recording &recording, const Track &track,
+             const double *push, const double *shown, int columns, double *response) {
+    const int lanes = kernel.lanes();
+    in_parallel((columns + lanes - 1) / lanes, [&](int group) {
+        kernel.respond(recording, track, push, shown, columns, group * lanes, response);
+    });
+}
+
 void likelihoods(const Kernel &kernel, const std::vector<const Recording *> &recordings,
                  const std::vector<const Track *> &tracks, const std::vector<Noise> &noises,
-                 double *log_likelihood, const std::vector<double *> &covariance) {
+                 double *log_likelihood, double *information) {
     const int count = static_cast<int>(noises.size()), lanes = kernel.lanes();
     const int groups = (count + lanes - 1) / lanes, all = static_cast<int>(recordings.size());
+    const int width = groups * lanes;
+    const std::size_t square = static_cast<std::size_t>(width) * static_cast<std::size_t>(width);
     std::vector<double> of_run(recordings.size() * noises.size(), 0.0);
+    std::vector<std::unique_ptr<double[]>> covariance(recordings.size());
+    std::vector<double> told(information ? recordings.size() * square : 0, 0.0);
+    for (std::size_t r = 0; information && r < covariance.size(); ++r) {
+        /* Left as it comes: all that is read was written. */
+        covariance[r].reset(new double[sampled_pairs(*tracks[r], kernel.outputs()) *
+                                       static_cast<std::size_t>(width)]);
+    }
     in_parallel(all * groups, [&](int task) {
         const std::size_t r = static_cast<std::size_t>(task / groups);
         const int first = (task % groups) * lanes;
-        const long plane =
-            static_cast<long>(recordings[r]->rows) * kernel.outputs() * kernel.outputs();
         kernel.likelihoods(*recordings[r], *tracks[r], &noises[static_cast<std::size_t>(first)],
                            std::min(lanes, count - first),
                            &of_run[r * noises.size() + static_cast<std::size_t>(first)],
-                           covariance[r] + first * plane);
+                           information ? covariance[r].get() + first : nullptr, width);
     });
     for (std::size_t i = 0; i < of_run.size(); ++i)
         log_likelihood[i % noises.size()] += of_run[i];
+    if (!information)
+        return;
+    in_parallel(all, [&](int task) {
+        const std::size_t r = static_cast<std::size_t>(task);
+        kernel.add_information(*tracks[r], recordings[r]->rows, covariance[r].get(), width,
+                               &told[r * square]);
+    });
+    for (std::size_t i = 0; i < noises.size(); ++i) {
+        for (std::size_t j = 0; j < noises.size(); ++j) {
+            double &sum = information[i * noises.size() + j];
+            sum = 0.0;
+            for (std::size_t r = 0; r < recordings.size(); ++r)
+                sum += told[r * square + i * static_cast<std::size_t>(width) + j];
+        }
+    }
 }
 
 }  // namespace omnislip

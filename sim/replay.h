@@ -162,10 +162,19 @@ class Kernel {
                              double *residuals) const = 0;
     virtual void replays(const Recording &recording, const Track &track, const double *values,
                          int count, double step_s, double window_s, double *errors) const = 0;
+    /* Columns `first` to `first` + lanes() - 1 of the response of `respond` below. */
+    virtual void respond(const Recording &recording, const Track &track, const double *push,
+                         const double *shown, int columns, int first, double *response) const = 0;
     /* `count` <= lanes() noises along a track with its matrices: log_likelihood [noise] is added
-     * to, covariance of the innovation [noise][row][output][output] written where sampled. */
+     * to. Unless `covariance` is null, that of the innovations is written: row by row the lower
+     * triangle over the outputs that were sampled, [row][pair][width], of lanes() noises each. */
     virtual void likelihoods(const Recording &recording, const Track &track, const Noise *noises,
-                             int count, double *log_likelihood, double *covariance) const = 0;
+                             int count, double *log_likelihood, double *covariance,
+                             int width) const = 0;
+    /* From these: what the noises' changes from the first one tell together, added to information
+     * [width][width] (see `likelihoods` below). */
+    virtual void add_information(const Track &track, int rows, const double *covariance, int width,
+                                 double *information) const = 0;
 };
 
 /* The electric robot shows bus voltage and four motor currents after the outputs of the robot. */
@@ -195,10 +204,20 @@ void replays(const Kernel &kernel, const std::vector<const Recording *> &recordi
              const std::vector<const Track *> &tracks, const ParameterSets &sets, double step_s,
              double window_s, const std::vector<double *> &errors);
 
-/* All recordings, all noises: log_likelihood [noise], covariance[r] of recording r; zero before. */
+/* What pushes change of the whitened innovations, response [row][output][column]; `track` kept its
+ * matrices. `push` [row][filter state][column] are rates from each row to the next, `shown`
+ * [row][output][column] what sensors show besides. With the transition F, output slope H and gain K
+ * of the track, the error d of the prediction, 0 at first, obeys
+ *     e_k = shown_k - H_k d_k,   d_(k+1) = F_k (d_k + K_k e_k + push_k T / 2) + push_k T / 2. */
+void respond(const Kernel &kernel, const Recording &recording, const Track &track,
+             const double *push, const double *shown, int columns, double *response);
+
+/* All recordings, all noises: log_likelihood [noise], zero before. Unless `information` is null, it
+ * is filled [noise][noise]: with S_0 = L L' the covariance of a row by the first noise and A_i =
+ * L^-1 (S_i - S_0) L^-T what noise i changes of it, the sum over the rows of tr(A_i A_j) / 2. */
 void likelihoods(const Kernel &kernel, const std::vector<const Recording *> &recordings,
                  const std::vector<const Track *> &tracks, const std::vector<Noise> &noises,
-                 double *log_likelihood, const std::vector<double *> &covariance);
+                 double *log_likelihood, double *information);
 
 }  // namespace omnislip
 

@@ -473,12 +473,43 @@ class KernelOf final : public Kernel {
         }
     }
 
+    void respond(const Recording &recording, const Track &track, const double *push,
+                 const double *shown, int columns, int first, double *response) const override {
+        by_memory(!track.memory.empty(), [&](auto memory) {
+            respond_with<memory.value>(recording, track, push, shown, columns, first, response);
+        });
+    }
+
     void likelihoods(const Recording &recording, const Track &track, const Noise *noises, int count,
-                     double *log_likelihood, double *covariance) const override {
+                     double *log_likelihood, double *covariance, int width) const override {
         by_memory(!track.memory.empty(), [&](auto memory) {
             likelihoods_with<memory.value>(recording, track, noises, count, log_likelihood,
-                                           covariance);
+                                           covariance, width);
         });
+    }
+
+    void add_information(const Track &track, int rows, const double *covariance, int width,
+                         double *information) const override {
+        constexpr int kPairs = kOutputs * (kOutputs + 1) / 2;
+        std::vector<double> change(static_cast<std::size_t>(kPairs) *
+                                   static_cast<std::size_t>(width));
+        for (int k = 0; k < rows; ++k) {
+            const Sampled sampled(&track.innovation[static_cast<long>(k) * kOutputs]);
+            const int pairs = sampled.count() * (sampled.count() + 1) / 2;
+            whiten_changes(sampled.count(), covariance, width, change.data());
+            covariance += pairs * width;
+            for (int i = 1; i < width; ++i) {
+                for (int first = 0; first < width; first += kLanes) {
+                    double *told = information + i * width + first;
+                    S sum = S::load_unaligned(told);
+                    for (int pair = 0; pair < pairs; ++pair) {
+                        const double *row = &change[static_cast<std::size_t>(pair * width)];
+                        sum += S(row[i]) * S::load_unaligned(row + first);
+                    }
+                    sum.store_unaligned(told);
+                }
+            }
+        }
     }
 
   private:
@@ -493,8 +524,57 @@ class KernelOf final : public Kernel {
     }
 
     template <int kMemory>
+    static void respond_with(const Recording &recording, const Track &track, const double *push,
+                             const double *shown, int columns, int first, double *response) {
+        constexpr int kFilter = kStates + kMemory + kPushes;
+        const int count = std::min(kLanes, columns - first);
+        const auto read = [&](const double *rows, long row) {
+            const double *own = rows + row * columns + first;
+            return from_lanes<S>([&](int i) { return i < count ? own[i] : 0.0; });
+        };
+        S error[kFilter], moved[kFilter], pushed[kFilter];
+        std::fill_n(error, kFilter, S(0.0));
+        for (long k = 0; k < recording.rows; ++k) {
+            const Sampled sampled(&track.innovation[k * kOutputs]);
+            S seen[kOutputs];
+            for (int a = 0; a < sampled.count(); ++a) {
+                const double *h = &track.slope[(k * kOutputs + sampled[a]) * kFilter];
+                seen[a] = read(shown, k * kOutputs + sampled[a]);
+                for (int j = 0; j < kFilter; ++j) {
+                    if (h[j] != 0.0)
+                        seen[a] -= S(h[j]) * error[j];
+                }
+                const double *whitening = &track.whitening[(k * kOutputs + sampled[a]) * kOutputs];
+                S white(0.0);
+                for (int b = 0; b <= a; ++b)
+                    white += S(whitening[sampled[b]]) * seen[b];
+                for (int i = 0; i < count; ++i)
+                    response[(k * kOutputs + sampled[a]) * columns + first + i] = lane(white, i);
+            }
+            if (k + 1 == recording.rows)
+                break;
+            const double half_s = 0.5 * (recording.time_s[k + 1] - recording.time_s[k]);
+            for (int i = 0; i < kFilter; ++i) {
+                pushed[i] = S(half_s) * read(push, k * kFilter + i);
+                moved[i] = error[i] + pushed[i];
+                for (int a = 0; a < sampled.count(); ++a)
+                    moved[i] += S(track.gain[(k * kFilter + i) * kOutputs + sampled[a]]) * seen[a];
+            }
+            const double *transition = &track.transition[k * kFilter * kFilter];
+            for (int i = 0; i < kFilter; ++i) {
+                error[i] = pushed[i];
+                for (int l = 0; l < kFilter; ++l) {
+                    const double f = transition[i * kFilter + l];
+                    if (f != 0.0)
+                        error[i] += S(f) * moved[l];
+                }
+            }
+        }
+    }
+
+    template <int kMemory>
     void likelihoods_with(const Recording &recording, const Track &track, const Noise *noises,
-                          int count, double *log_likelihood, double *covariance) const {
+                          int count, double *log_likelihood, double *covariance, int width) const {
         constexpr int kMoved = kStates + kMemory, kFilter = kMoved + kPushes;
         const auto of_each = [&](auto &&number) {
             return from_lanes<S>([&](int i) { return number(noises[i < count ? i : count - 1]); });
@@ -522,7 +602,12 @@ class KernelOf final : public Kernel {
             output[j] = of_each([j](const Noise &n) { return n.output[j]; });
             late[j] = S(0.0);
         }
-        const long plane = static_cast<long>(recording.rows) * kOutputs * kOutputs;
+        const auto keep = [&](const S &sum) {
+            if (covariance) {
+                sum.store_unaligned(covariance);
+                covariance += width;
+            }
+        };
         for (int k = 0; k < recording.rows; ++k) {
             const double *slope = &track.slope[k * kOutputs * kFilter];
             S variance[kOutputs];
@@ -531,8 +616,7 @@ class KernelOf final : public Kernel {
                 const double change = change_into(recording, kMotors, k, i);
                 variance[kOutputs - kMotors + i] += S(0.25 * change * change) * unresolved_current;
             }
-            update<kFilter>(track, k, slope, variance, late, p, apart, total, count,
-                            covariance + k * kOutputs * kOutputs, plane);
+            update<kFilter>(track, k, slope, variance, late, p, apart, total, keep);
             if (k + 1 == recording.rows)
                 break;
             const double duration_s = recording.time_s[k + 1] - recording.time_s[k];
@@ -560,11 +644,53 @@ class KernelOf final : public Kernel {
             log_likelihood[i] += lane(total, i);
     }
 
-    /* One row of the filter of `likelihoods`. */
-    template <int kFilter>
+    /* Of a row of `sampled` outputs: what each noise changes of the first one's covariance,
+     * whitened by that, A_i = L^-1 (S_i - S_0) L^-T, as [pair][width]. What is on the diagonal is
+     * divided by the root of 2: then the products of two changes sum to tr(A_i A_j) / 2. */
+    static void whiten_changes(int sampled, const double *covariance, int width, double *change) {
+        const auto pair = [](int a, int b) { return a * (a + 1) / 2 + b; };
+        double root[kOutputs][kOutputs], per_root[kOutputs];
+        for (int a = 0; a < sampled; ++a) {
+            for (int b = 0; b <= a; ++b) {
+                double sum = covariance[pair(a, b) * width];
+                for (int c = 0; c < b; ++c)
+                    sum -= root[a][c] * root[b][c];
+                root[a][b] = a == b ? std::sqrt(sum) : sum * per_root[b];
+            }
+            per_root[a] = 1.0 / root[a][a];
+        }
+        for (int first = 0; first < width; first += kLanes) {
+            S left[kOutputs][kOutputs];
+            for (int a = 0; a < sampled; ++a) {
+                for (int b = 0; b <= a; ++b) {
+                    const double *own = covariance + pair(a, b) * width;
+                    left[a][b] = S::load_unaligned(own + first) - S(own[0]);
+                    left[b][a] = left[a][b];
+                }
+            }
+            for (int a = 0; a < sampled; ++a) {
+                for (int b = 0; b < sampled; ++b) {
+                    for (int c = 0; c < a; ++c)
+                        left[a][b] -= S(root[a][c]) * left[c][b];
+                    left[a][b] *= S(per_root[a]);
+                }
+            }
+            for (int a = 0; a < sampled; ++a) {
+                for (int b = 0; b <= a; ++b) {
+                    for (int c = 0; c < b; ++c)
+                        left[a][b] -= left[a][c] * S(root[b][c]);
+                    left[a][b] *= S(per_root[b]);
+                    const S weighed = a == b ? left[a][b] * S(std::sqrt(0.5)) : left[a][b];
+                    weighed.store_unaligned(change + pair(a, b) * width + first);
+                }
+            }
+        }
+    }
+
+    /* One row of the filter of `likelihoods`. `keep(S_ab)` of the sampled a, and b up to a. */
+    template <int kFilter, class Keep>
     static void update(const Track &track, int k, const double *slope, const S *variance,
-                       const S *late, S (&p)[kFilter][kFilter], S *apart, S &total, int count,
-                       double *covariance, long plane) {
+                       const S *late, S (&p)[kFilter][kFilter], S *apart, S &total, Keep &&keep) {
         const double *shown = &track.innovation[k * kOutputs];
         const Sampled sampled(shown);
         S innovation[kOutputs];
@@ -577,15 +703,6 @@ class KernelOf final : public Kernel {
             }
         }
         Told<S, kFilter> told;
-        const auto keep = [&](int a, int b, const S &sum) {
-            alignas(64) double spread[kLanes];
-            sum.store_aligned(spread);
-            for (int s = 0; s < count; ++s) {
-                double *own = covariance + s * plane;
-                own[sampled[a] * kOutputs + sampled[b]] = spread[s];
-                own[sampled[b] * kOutputs + sampled[a]] = spread[s];
-            }
-        };
         total += told.by(sampled, slope, variance, late, innovation, p, keep);
         for (int i = 0; i < kFilter; ++i) {
             double corrected = 0.0;
@@ -624,7 +741,7 @@ class KernelOf final : public Kernel {
     struct Told {
         T g[kOutputs][kFilter], white[kOutputs], root[kOutputs][kOutputs], per_root[kOutputs];
 
-        /* Fills in these, lets P fall; returns the log likelihood. `keep(a, b, S_ab)`. */
+        /* Fills in these, lets P fall; returns the log likelihood. `keep(S_ab)`, b up to a. */
         template <class Keep>
         T by(const Sampled &sampled, const double *slope, const T *variance, const T *late,
              const T *innovation, T (*p)[kFilter], Keep &&keep) {
@@ -650,7 +767,7 @@ class KernelOf final : public Kernel {
                     }
                     if (a == b)
                         sum += variance[sampled[a]];
-                    keep(a, b, sum);
+                    keep(sum);
                     for (int c = 0; c < b; ++c)
                         sum -= root[a][c] * root[b][c];
                     root[a][b] = a == b ? sqrt(sum) : sum * per_root[b];
@@ -691,7 +808,7 @@ class KernelOf final : public Kernel {
         Told<double, kFilter> told;
         const double log_likelihood =
             told.by(sampled, slope, variance, late, shown, reinterpret_cast<double(*)[kFilter]>(p),
-                    [](int, int, double) {});
+                    [](double) {});
         double inverse[kOutputs][kOutputs];
         for (int a = 0; a < sampled.count(); ++a) {
             inverse[a][a] = told.per_root[a];

@@ -12,7 +12,6 @@ from omnislip.gap.rows import (
     Projection,
     hidden_columns,
     rise_of,
-    whitened_response,
 )
 from omnislip.gap.search import believed_hypothesis
 from omnislip.gap.truth import TruthCase
@@ -80,7 +79,7 @@ def test_what_a_sensor_shows_besides_is_answered_as_the_filter_does(electric, ou
     )
     expected = (after - before) / size
     push = np.zeros((len(run.t_s), tracks[0].filter_states, 1))
-    found = whitened_response(machine, run, tracks[0], push, shown)[:, :, 0]
+    found = engine.response(run.recording, tracks[0], push, shown)[:, :, 0]
     np.testing.assert_allclose(found, expected, atol=1e-3 * np.abs(expected).max())
 
 
@@ -97,10 +96,27 @@ def test_a_push_of_the_model_is_as_outputs_that_it_would_have_moved_the_other_wa
         moved[k + 1] = track.transition.reshape(rows, n, n)[k] @ (moved[k] + half) + half
     shown = np.einsum("kji,ki->kj", track.slope.reshape(rows, -1, n), moved)[:, :, None]
     shown[np.isnan(run.outputs)] = 0.0
-    as_moved = whitened_response(machine, run, track, np.zeros_like(push), -shown)
-    pushed = whitened_response(machine, run, track, push, np.zeros_like(shown))
+    as_moved = machine.engine.response(run.recording, track, np.zeros_like(push), -shown)
+    pushed = machine.engine.response(run.recording, track, push, np.zeros_like(shown))
     assert np.abs(pushed).max() > 0
     np.testing.assert_allclose(pushed, as_moved, atol=1e-9 * np.abs(pushed).max())
+
+
+@pytest.mark.parametrize("wrong", ["rows", "states", "columns", "outputs", "track"])
+def test_pushes_of_another_shape_are_refused(electric, wrong):
+    run, track, engine = electric.runs[0], electric.tracks[0], electric.machine.engine
+    push = np.zeros((len(run.t_s), track.filter_states, 2))
+    shown = np.zeros((*run.outputs.shape, 2))
+    match = "wrong shape"
+    if wrong == "track":
+        track = track_recordings(
+            electric.machine, [run.recording], electric.machine.believed, electric.noise, STEP_S
+        )[0]
+        match = "did not keep its matrices"
+    push = {"rows": push[1:], "states": push[:, 1:]}.get(wrong, push)
+    shown = {"columns": shown[:, :, 1:], "outputs": shown[:, 1:]}.get(wrong, shown)
+    with pytest.raises(ValueError, match=match):
+        engine.response(run.recording, track, push, shown)
 
 
 def driven_finely(machine, run, noise, rise, parts=5):

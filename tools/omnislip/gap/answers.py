@@ -139,17 +139,20 @@ class Foreseen:
 
     def residuals(self, found: Array, newsless: Array) -> Array:
         """Return r + c^ of models (models, m) from their residuals by both commands."""
-        return self._residual + self.part(found - self._found, newsless - self._newsless)
+        residuals = self.part(found - self._found, newsless - self._newsless)
+        residuals += self._residual
+        return residuals
 
     def part(self, change: Array, newsless: Array) -> Array:
         """Return c^ (n, m) of changes c by the logged commands and c~ by those without news."""
-        own = newsless - (newsless @ self._axes) @ self._axes.T
-        square, whole, common = (
-            np.einsum("ij,ij->i", a, b)
-            for a, b in ((own, own), (newsless, newsless), (own, change))
-        )
-        share = common / np.where(square > NOTHING * whole, square, np.inf)
-        return (change @ self._axes) @ self._axes.T + share[:, None] * own
+        along, within = newsless @ self._axes, change @ self._axes
+        whole = np.vecdot(newsless, newsless)
+        square = whole - np.vecdot(along, along)  # of what of c~ is out of the span
+        common = np.vecdot(newsless, change) - np.vecdot(along, within)
+        share = (common / np.where(square > NOTHING * whole, square, np.inf))[:, None]
+        part = (within - share * along) @ self._axes.T
+        part += share * newsless
+        return part
 
 
 def lead_rows(run: Run) -> int:

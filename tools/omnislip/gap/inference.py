@@ -35,7 +35,7 @@ from omnislip.gap.answers import Foreseen, foreseen, news_of
 from omnislip.gap.machine import Candidate, Machine, Parameter
 from omnislip.gap.noise import STEP_S, Noise, require_following, track_all
 from omnislip.gap.recordings import Run
-from omnislip.gap.rows import Projection, hidden_columns, whitened_response
+from omnislip.gap.rows import Projection, hidden_columns
 
 Array = npt.NDArray[np.float64]
 
@@ -363,14 +363,16 @@ class Data:
     ) -> Array:
         """Return what pushes change of the residuals (m, n); `tracks` keep their matrices.
 
-        `pushes` gives the two of `whitened_response` from the number of a run, the run and states
-        (rows, filter states).
+        `pushes` gives from the number of a run, the run and states (rows, filter states) rates from
+        each row to the next (rows, filter states, n) and what sensors show besides (rows, outputs,
+        n): `respond` in sim/replay.h.
         """
 
         def columns(runs: Sequence[Run], states: Sequence[Array]) -> Array:
             found = []
             for k, (run, track, state) in enumerate(zip(runs, tracks, states, strict=True)):
-                response = whitened_response(self.machine, run, track, *pushes(k, run, state))
+                pushed, shown = pushes(k, run, state)
+                response = self.machine.engine.response(run.recording, track, pushed, shown)
                 found.append(response[self.kept_rows(run)].reshape(-1, response.shape[2]))
             return np.concatenate(found).T
 

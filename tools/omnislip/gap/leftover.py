@@ -2,8 +2,8 @@
 
 A missing term is a force, moment or torque that depends on the state. Along the filtered states of
 the final model every term of a small dictionary (equation x wheel pattern x dependence) is a known
-function of time; what it would do to the innovations is linear in its size (`whitened_response` in
-rows.py derives it); a term of a sensor is added to what it shows. Each term is tested like an
+function of time; what it would do to the innovations is linear in its size (`respond` in
+sim/replay.h derives it); a term of a sensor is added to what it shows. Each term is tested like an
 effect: gain T over what the fitted parameters leave, inflation by block sums, and the gain on each
 run by the size that fits the others. What gains within one half second only is an incident and no
 law. A term that passes says where something is missing and on what it depends, not what it is.

@@ -246,7 +246,7 @@ class _Path:
                 trial = logs.copy()
                 trial[free] += np.clip(np.linalg.solve(damped, slope), -2.0, 2.0)
                 trials.append(np.clip(trial, low, high))
-            totals, _ = self._look(np.array(trials))
+            totals, _ = self._look(np.array(trials), with_information=False)
             best = int(np.argmax(totals))
             gained = float(totals[best]) - here
             if not gained > 0:
@@ -256,10 +256,14 @@ class _Path:
                 break
         return whole, logs
 
-    def _look(self, many: Array) -> tuple[Array, Array]:
-        """Return log-likelihoods (sets,) and covariances of the innovations (sets, rows, m, m)."""
+    def _look(self, many: Array, with_information: bool) -> tuple[Array, Array]:
+        """Return log-likelihoods (sets,) and what changes from the first set tell (sets, sets).
+
+        With S_k = L_k L_k' the covariance of row k by the first set and A_ik = L_k^-1 dS_ik L_k^-T
+        what set i changes of it, that is sum_k tr(A_ik A_jk) / 2.
+        """
         noises = [self._make(logs) for logs in many]
-        totals, covariance = self._engine.likelihoods(
+        totals, information = self._engine.likelihoods(
             self._recordings,
             self._tracks,
             np.stack([n.process for n in noises]),
@@ -270,27 +274,20 @@ class _Path:
             np.array([n.unresolved_current for n in noises]),
             np.stack([n.coloured for n in noises]),
             np.array([n.colour_rate_1_s for n in noises]),
+            with_information,
         )
-        return totals - self._pull(many), np.concatenate(covariance, axis=1)
+        return totals - self._pull(many), information
 
     def _pull(self, logs: Array) -> Array:
         return np.sum((logs - self._guess.logs) ** 2, axis=-1) * PULL / 2
 
     def _score(self, logs: Array) -> tuple[float, Array, Array]:
-        """Return log-likelihood, its slope and the information at `logs`.
-
-        With S_k = L_k L_k' the covariance of row k and A_ik = L_k^-1 dS_k / d log v_i L_k^-T, what
-        variance i does to it, the information is I_ij = sum_k tr(A_ik A_jk) / 2.
-        """
-        count = len(logs)
-        totals, covariance = self._look(np.vstack([logs, logs + PROBE * np.eye(count)]))
-        m = covariance.shape[-1]
-        unsampled = np.diagonal(covariance[0], axis1=1, axis2=2) == 0
-        root = np.linalg.cholesky(covariance[0] + np.eye(m) * unsampled[:, None, :])
-        whiten = np.linalg.inv(root)
-        changes = whiten @ (covariance[1:] - covariance[0]) @ whiten.transpose(0, 2, 1)
-        changes = changes.reshape(count, -1) / PROBE
-        information = 0.5 * changes @ changes.T + PULL * np.eye(count)
+        """Return log-likelihood, its slope and the information at `logs`."""
+        unit = np.eye(len(logs))
+        totals, told = self._look(np.vstack([logs, logs + PROBE * unit]), with_information=True)
+        if not np.isfinite(told).all():
+            raise np.linalg.LinAlgError("covariances lost in rounding")
+        information = told[1:, 1:] / PROBE**2 + PULL * unit
         slope = (totals[1:] - totals[0]) / PROBE + 0.5 * PROBE * np.diag(information)
         return float(totals[0]), slope, information
 

@@ -96,33 +96,6 @@ def rise_of(run: Run, from_before: bool) -> Array:
     return np.vstack([np.nan_to_num(rate) * length_s, np.zeros_like(none)])
 
 
-def whitened_response(
-    machine: Machine, run: Run, track: _core.Track, push: Array, shown: Array
-) -> Array:
-    """Return what pushes do to the whitened innovations (rows, outputs, columns).
-
-    `push` (rows, filter states, columns) are rates from each row to the next, `shown` (rows,
-    outputs, columns) what sensors show besides. With the transition F, output slope H and gain K of
-    the track, the error d of the prediction obeys
-
-        e_k = -H_k d_k + shown_k,     d_(k+1) = F_k (d_k + K_k e_k + push_k dt / 2) + push_k dt / 2
-    """
-    n, m, rows = track.filter_states, machine.engine.outputs, len(run.t_s)
-    transition = track.transition.reshape(rows, n, n)
-    slope = np.where(np.isnan(run.outputs)[:, :, None], 0.0, track.slope.reshape(rows, m, n))
-    gain, whitening = track.gain.reshape(rows, n, m), track.whitening.reshape(rows, m, m)
-    step_s = np.diff(run.t_s)
-    error = np.zeros((n, push.shape[2]))
-    response = np.empty((rows, m, push.shape[2]))
-    for k in range(rows):
-        seen = shown[k] - slope[k] @ error
-        response[k] = whitening[k] @ seen
-        if k + 1 < rows:
-            pushed = 0.5 * step_s[k] * push[k]
-            error = transition[k] @ (error + gain[k] @ seen + pushed) + pushed
-    return response
-
-
 class Projection:
     """Takes the part of residuals (..., m) that hidden columns (m, n) may have caused."""
 
