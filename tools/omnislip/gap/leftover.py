@@ -67,6 +67,8 @@ are right in place perhaps, but wrong in shape."""
 IN_ITS_PLACE = 0.5
 """Share of an effect's gain that a term must take over to stand in its place."""
 MOST_SHAPES = 5
+AT_ONCE = 16
+"""Terms whose responses are computed together: two groups of lanes, arrays of some megabytes."""
 SWINGS_HZ, SWING_DAMPING = 0.7 * 2.0 ** (np.arange(9) / 2.0), 0.1
 FASTEST_HZ = {"world/force": 6.0, "body/moment": 6.0, "camera": 12.0}
 NEARER, NEARER_DAMPINGS = 2.0 ** np.array([-0.25, -0.125, 0.0, 0.125, 0.25]), (0.03, 0.1)
@@ -213,9 +215,14 @@ def responses(
 
     Along the `tracks` of the model, with their matrices, if they are known.
     """
-    tracks = tracks or _tracks(data, fitted)
-    columns = data.responses(tracks, lambda _, run, state: _pushes(state, run, terms))
-    return free_of_fitted(fitted, columns)
+    along = tracks or _tracks(data, fitted)
+
+    def of_some(some: Sequence[Term]) -> Array:
+        columns = data.responses(along, lambda _, run, state: _pushes(state, run, some))
+        return free_of_fitted(fitted, columns)
+
+    parts = [terms[first : first + AT_ONCE] for first in range(0, len(terms), AT_ONCE)]
+    return np.hstack(side_by_side(of_some, parts))
 
 
 def _tracks(data: Data, fitted: Fit) -> list[_core.Track]:
@@ -234,16 +241,23 @@ def _passing(
     groups = _groups(terms)
     tried = 2 * len(groups) + choices
     judge = _Judge(data, fitted, tried)
-    gains, found = dict[tuple[str, str], float](), []
-    for name, own in groups.items():
+    gains = dict[tuple[str, str], float]()
+
+    def passing(name: tuple[str, str]) -> list[Leftover | None]:
+        own = groups[name]
         members, columns = tuple(terms[k] for k in own), free[:, own]
         several = len(own) > 1
         alone = max(gains[term.name] for term in members) if several else 0.0
         gains[name], one = judge.alike(name, members, columns, alone)
-        found.append(one)
         if several and members[0].turning:
-            found.append(judge.of_each_run(name, members, columns, gains[name]))
-    return sorted(filter(None, found), key=lambda leftover: -leftover.gain)
+            return [one, judge.of_each_run(name, members, columns, gains[name])]
+        return [one]
+
+    found = []
+    for together in (False, True):  # each alone first
+        names = [name for name, own in groups.items() if (len(own) > 1) == together]
+        found += [one for own in side_by_side(passing, names) for one in own if one is not None]
+    return sorted(found, key=lambda leftover: -leftover.gain)
 
 
 def _sizes(columns: Array, residual: Array) -> Array:

@@ -437,10 +437,14 @@ def screen(data: Data, current: Fit, candidates: Sequence[Candidate]) -> list[Sc
             owners.append(number)
     columns = (data.residuals(np.stack(points)) - current.residual).T
     free = free_of_fitted(current, columns)
-    ranked: dict[str, Screened] = {}
-    for number, (candidate, start) in enumerate(variants):
+
+    def promise(number: int) -> Screened:
         own = [i for i, o in enumerate(owners) if o == number]
-        found = _promise(data, current, candidate, start, columns[:, own], free[:, own])
+        return _promise(data, current, *variants[number], columns[:, own], free[:, own])
+
+    ranked: dict[str, Screened] = {}
+    promises = side_by_side(promise, range(len(variants)))
+    for (candidate, _), found in zip(variants, promises, strict=True):
         best = ranked.get(candidate.name, found)
         infinite = ~np.isfinite(_neutral(data, current.hypothesis, candidate))
         infinite = infinite[list(candidate.amplitudes)]

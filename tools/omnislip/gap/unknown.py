@@ -26,6 +26,7 @@ from omnislip.gap.machine import Machine
 from omnislip.gap.noise import DISTURBANCES, track_all
 from omnislip.gap.recordings import Run
 from omnislip.gap.search import Outcome
+from omnislip.gap.side_by_side import side_by_side
 from omnislip.gap.terms import (
     CAMERA_HEADING,
     GYRO_SHAPES,
@@ -136,15 +137,18 @@ class _Study:
         self._data, self._fitted, self._values = data, fitted, values
         self._tracks = track_all(data.machine, data.runs, values, data.noise, keep_linear=True)
 
-    def all_pairs(self, found: Sequence[Equation]) -> Iterator[Curve]:
+    def all_pairs(self, found: Sequence[Equation]) -> list[Curve]:
         """Every quantity in every equation; wheels also all together, with the same curve."""
         groups: dict[str, list[Equation]] = {}
         for equation in found:
             groups.setdefault(equation.symbol + equation.unit, []).append(equation)
-        for members in groups.values():
-            waves = self._waves(members)
-            for quantity in (*members[0].quantities, *waves):
-                yield from self._pair(members, quantity)
+        pairs = [
+            (members, quantity)
+            for members in groups.values()
+            for quantity in (*members[0].quantities, *self._waves(members))
+        ]
+        curves = side_by_side(lambda pair: list(self._pair(*pair)), pairs)
+        return [curve for own in curves for curve in own]
 
     def of_terms(self, found: Sequence[Equation], leftover: Sequence[Leftover]) -> Iterator[Curve]:
         """What the terms depend on that pass, each in its own equation."""
