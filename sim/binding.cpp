@@ -279,7 +279,7 @@ class Engine {
                                  const Array1 &values, const Array1 &process, const Array1 &output,
                                  const Array1 &initial, double timing_s2, double unresolved,
                                  double unresolved_current, const std::vector<double> &coloured,
-                                 double colour_rate_1_s, double step_s, double window_s,
+                                 double colour_rate_1_s, double step_s, double floor_window_s,
                                  bool keep_linear) const {
         require_rate(fastest_rate_1_s(values));
         const Noise noise{to_vector(process), to_vector(output), to_vector(initial),
@@ -291,7 +291,8 @@ class Engine {
                     (noise.coloured.empty() || noise.coloured.size() == pushes()),
                 "noise vectors have the wrong length");
         nb::gil_scoped_release release;
-        return track_all(*kernel_, recordings, values.data(), noise, step_s, window_s, keep_linear);
+        return track_all(*kernel_, recordings, values.data(), noise, step_s, floor_window_s,
+                         keep_linear);
     }
 
     nb::list innovations_of(const std::vector<const Recording *> &recordings,
@@ -743,7 +744,7 @@ void bind_replay(nb::module_ &m) {
         .def("track", &Engine::tracks_of, "recordings"_a, "values"_a, "process"_a, "output"_a,
              "initial"_a, "timing_s2"_a = 0.0, "unresolved"_a = 0.0, "unresolved_current"_a = 0.0,
              "coloured"_a = std::vector<double>(), "colour_rate_1_s"_a = 100.0, "step_s"_a = 1e-3,
-             "window_s"_a = 1.0, "keep_linear"_a = false)
+             "floor_window_s"_a = 0.0, "keep_linear"_a = false)
         .def("response", &Engine::response_of, "recording"_a, "track"_a, "push"_a, "shown"_a)
         .def("likelihoods", &Engine::likelihoods_of, "recordings"_a, "tracks"_a, "process"_a,
              "output"_a, "initial"_a, "timing_s2"_a, "unresolved"_a, "unresolved_current"_a,

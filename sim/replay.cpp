@@ -85,7 +85,7 @@ void for_each_group(const Kernel &kernel, int recordings, const ParameterSets &s
 }  // namespace
 
 Track track(const Kernel &kernel, const Recording &recording, const double *values,
-            const Noise &noise, double step_s, double window_s, bool keep_linear) {
+            const Noise &noise, double step_s, double floor_window_s, bool keep_linear) {
     const std::size_t rows = static_cast<std::size_t>(recording.rows);
     const std::shared_ptr<const void> loaded = kernel.load(values);
     Track result;
@@ -98,7 +98,9 @@ Track track(const Kernel &kernel, const Recording &recording, const double *valu
     result.state.assign(rows * all, 0.0);
     result.innovation.assign(rows * m, NAN);
     result.correction_variance.assign(rows * all, 0.0);
-    result.replay_variance.assign(rows * m, 0.0);
+    const bool with_floor = floor_window_s > 0.0;
+    if (with_floor)
+        result.replay_variance.assign(rows * m, 0.0);
     result.push.assign(rows * n * q, 0.0);
     result.decay.assign(rows, 0.0);
     if (keep_linear) {
@@ -142,8 +144,9 @@ Track track(const Kernel &kernel, const Recording &recording, const double *valu
             variance[i] = noise.output[static_cast<std::size_t>(i)] +
                           0.25 * noise.unresolved_current * change * change;
         }
-        for (int j = 0; j < m; ++j) {
+        for (int j = 0; j < m; ++j)
             result.innovation[k * m + j] = measured[j] - predicted[j];
+        for (int j = 0; with_floor && j < m; ++j) {
             result.replay_variance[k * m + j] = variance[j] + variance_along(slope, j, free);
         }
         result.log_likelihood += kernel.correct_by(
@@ -152,12 +155,12 @@ Track track(const Kernel &kernel, const Recording &recording, const double *valu
             &result.correction_variance[k * all]);
         std::copy_n(estimate.data(), all, &result.state[k * all]);
         x(moved) = estimate.head(n);
-        if (recording.time_s[k] >= restart_s) {
+        if (with_floor && recording.time_s[k] >= restart_s) {
             free = p; /* it starts where the filter is, but follows no disturbance */
             free.rightCols(q).setZero();
             free.bottomRows(q).setZero();
             free.diagonal().tail(q) = lasting;
-            restart_s += window_s;
+            restart_s += floor_window_s;
         }
         if (k + 1 == rows)
             break;
@@ -197,8 +200,10 @@ Track track(const Kernel &kernel, const Recording &recording, const double *valu
         }
         kernel.carry_covariance(transition.data(), all, p.data());
         p.diagonal() += grown;
-        kernel.carry_covariance(transition.data(), all, free.data());
-        free.diagonal() += grown;
+        if (with_floor) {
+            kernel.carry_covariance(transition.data(), all, free.data());
+            free.diagonal() += grown;
+        }
     }
     return result;
 }
@@ -213,11 +218,12 @@ int thread_limit() {
 
 std::vector<Track> track_all(const Kernel &kernel, const std::vector<const Recording *> &recordings,
                              const double *values, const Noise &noise, double step_s,
-                             double window_s, bool keep_linear) {
+                             double floor_window_s, bool keep_linear) {
     std::vector<Track> tracks(recordings.size());
     in_parallel(static_cast<int>(recordings.size()), [&](int i) {
         const std::size_t r = static_cast<std::size_t>(i);
-        tracks[r] = track(kernel, *recordings[r], values, noise, step_s, window_s, keep_linear);
+        tracks[r] =
+            track(kernel, *recordings[r], values, noise, step_s, floor_window_s, keep_linear);
     });
     return tracks;
 }

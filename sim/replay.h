@@ -84,11 +84,11 @@ struct Track {
     std::vector<double> state;               /* [row][filter state] after the measurements */
     std::vector<double> innovation;          /* [row][output], NaN where not sampled */
     std::vector<double> correction_variance; /* [row][filter state], of gain * innovation */
-    std::vector<double> replay_variance;     /* [row][output] expected of a replay's error */
-    std::vector<double> push;       /* [row][state or memory][disturbance] to the next row */
-    std::vector<double> decay;      /* [row] of the disturbances to the next row */
-    std::vector<double> transition; /* [row][filter state][filter state], if kept */
-    std::vector<double> slope;      /* [row][output][filter state], if kept */
+    std::vector<double> replay_variance; /* [row][output] expected of a replay's error, if asked */
+    std::vector<double> push;            /* [row][state or memory][disturbance] to the next row */
+    std::vector<double> decay;           /* [row] of the disturbances to the next row */
+    std::vector<double> transition;      /* [row][filter state][filter state], if kept */
+    std::vector<double> slope;           /* [row][output][filter state], if kept */
     double log_likelihood = 0.0;
 };
 
@@ -185,16 +185,17 @@ enum EngineKind { kRobotEngine, kAxisEngine, kElectricRobotEngine, kOdometryEngi
 std::unique_ptr<Kernel> make_kernel(int kind, int widest_lanes, const UserTermList &terms = {});
 
 Track track(const Kernel &kernel, const Recording &recording, const double *values,
-            const Noise &noise, double step_s, double window_s, bool keep_linear);
+            const Noise &noise, double step_s, double floor_window_s, bool keep_linear);
 
 /* The functions below start at most `count` >= 1 threads from now on; without it one per core. */
 void limit_threads(int count);
 int thread_limit();
 
-/* One filter per recording, on all cores. */
+/* One filter per recording, on all cores. The variance of replays is of such that start again every
+ * floor_window_s; 0: it is not wanted. */
 std::vector<Track> track_all(const Kernel &kernel, const std::vector<const Recording *> &recordings,
                              const double *values, const Noise &noise, double step_s,
-                             double window_s, bool keep_linear);
+                             double floor_window_s, bool keep_linear);
 
 /* All recordings, all sets: residuals[r] holds [set][row][output] of recording r. */
 void innovations(const Kernel &kernel, const std::vector<const Recording *> &recordings,

@@ -48,7 +48,7 @@ from omnislip.gap.inference import (
 )
 from omnislip.gap.machine import CURVE, Candidate, Machine
 from omnislip.gap.metrics import WINDOW_S, gap_table, replay_all
-from omnislip.gap.noise import Noise, tune_noise
+from omnislip.gap.noise import Noise, track_all, tune_noise
 from omnislip.gap.peers import FREE
 from omnislip.gap.recordings import Run
 from omnislip.gap.search import (
@@ -140,8 +140,10 @@ class OpenLoop(Data):
     @cached_property
     def _weights(self) -> list[Array]:
         """One over the deviation that the noise gives each error; 0 where nothing was sampled."""
+        values = self._model.flat(self.believed)
+        tracks = track_all(self.machine, self.runs, values, self.noise, floor_window_s=WINDOW_S)
         weights = []
-        for run, track, kept in zip(self.runs, self.tracks, self._kept, strict=True):
+        for run, track, kept in zip(self.runs, tracks, self._kept, strict=True):
             deviation = np.sqrt(track.replay_variance.reshape(run.outputs.shape))[kept]
             weights.append(np.where(np.isnan(run.outputs[kept]), 0.0, 1.0 / deviation))
         return weights

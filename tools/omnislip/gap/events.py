@@ -29,6 +29,7 @@ from scipy.optimize import least_squares
 
 from omnislip import _core
 from omnislip.gap.machine import LESS_GRIP, POSE_X, Machine
+from omnislip.gap.metrics import WINDOW_S
 from omnislip.gap.noise import Noise, stall_current_a, track_all, track_recordings
 from omnislip.gap.recordings import Run, rim_m_per_rad
 from omnislip.gap.side_by_side import side_by_side
@@ -480,7 +481,8 @@ class _Window:
         self._outputs[0] = np.nan
         self._start = filtered[first - 1][: machine.engine.states]
         calm = machine.engine.recording(self._t_s, self._command, self._outputs, self._start)
-        self._weight = 1.0 / np.sqrt(self._track(calm).replay_variance.reshape(self._outputs.shape))
+        variance = self._track(calm).replay_variance.reshape(self._outputs.shape)
+        self._weight = 1.0 / np.sqrt(variance)
         self._calm = self._replayed(calm) * self._weight
         edges_s = np.linspace(max(earliest_s, self._t_s[0]), run.t_s[row], TIMES + 1)
         self.times_s = (0.5 * (edges_s[1:] + edges_s[:-1])).tolist()
@@ -565,11 +567,19 @@ class _Window:
 
     def _replayed(self, recording: _core.Recording) -> Array:
         track = self._track(recording)
-        return self._machine.engine.replays([recording], [track], self._values[None])[0][0]
+        replays = self._machine.engine.replays(
+            [recording], [track], self._values[None], REPLAY_STEP_S, WINDOW_S
+        )
+        return replays[0][0]
 
     def _track(self, recording: _core.Recording) -> _core.Track:
         return track_recordings(
-            self._machine, [recording], self._values, self._noise, REPLAY_STEP_S
+            self._machine,
+            [recording],
+            self._values,
+            self._noise,
+            REPLAY_STEP_S,
+            floor_window_s=WINDOW_S,
         )[0]
 
 

@@ -89,7 +89,7 @@ def replay_all(
     """Replay every parameter set over every run; each model's own filter finds its states."""
     columns = []
     for values in sets:
-        tracks = track_all(machine, runs, values, noise)
+        tracks = track_all(machine, runs, values, noise, floor_window_s=WINDOW_S)
         errors = machine.engine.replays(
             [run.recording for run in runs], tracks, values[None], 1e-3, WINDOW_S
         )

@@ -90,11 +90,11 @@ def track_all(
     values: Array,
     noise: Noise,
     keep_linear: bool = False,
+    floor_window_s: float = 0.0,
 ) -> list[_core.Track]:
-    """Run the filter of one parameter set over all runs; `keep_linear` keeps its matrices."""
-    return track_recordings(
-        machine, [run.recording for run in runs], values, noise, STEP_S, keep_linear
-    )
+    """Run the filter of one parameter set over all runs: as `track_recordings`."""
+    recordings = [run.recording for run in runs]
+    return track_recordings(machine, recordings, values, noise, STEP_S, keep_linear, floor_window_s)
 
 
 def require_following(runs: Sequence[Run], tracks: Sequence[_core.Track]) -> None:
@@ -114,9 +114,12 @@ def track_recordings(
     noise: Noise,
     step_s: float,
     keep_linear: bool = False,
+    floor_window_s: float = 0.0,
 ) -> list[_core.Track]:
     """Run the filter of one parameter set over recordings, with steps of at most `step_s`.
 
+    `keep_linear` keeps its matrices. With a `floor_window_s` it finds what variance the noise gives
+    to replays that start again so often.
     RunawayError for a set that is too stiff to be followed.
     """
     try:
@@ -132,6 +135,7 @@ def track_recordings(
             noise.coloured.tolist(),
             noise.colour_rate_1_s,
             step_s=step_s,
+            floor_window_s=floor_window_s,
             keep_linear=keep_linear,
         )
     except ValueError as error:
