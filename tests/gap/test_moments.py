@@ -8,7 +8,7 @@ import pytest
 from omnislip.gap.find import moment_words
 from omnislip.gap.machine import Machine
 from omnislip.gap.moments import LEAST_LOGS, LEAST_MOMENTS, Moment, _feigned_rad_s, find_moments
-from omnislip.gap.noise import stall_acceleration_rad_s2, track_all
+from omnislip.gap.noise import no_load_speed_rad_s, stall_acceleration_rad_s2, track_all
 from omnislip.gap.recordings import make_run
 from omnislip.gap.search import believed_hypothesis, settle
 from omnislip.gap.truth import TruthCase
@@ -91,12 +91,16 @@ def test_a_command_that_bends_within_a_row_feigns_what_half_of_the_row_gives():
     """A ramp of all duties that ends in row 30 by a jump of 0.06; soft gears ring for 50 ms."""
     rows = np.arange(60)
     command = np.tile(np.where(rows < 30, 0.02 * rows, 0.58 - 0.06)[:, None], (1, 4))
-    run = SimpleNamespace(command=command, row_s=0.005)
+    outputs = np.full((60, 13), np.nan)
+    run = SimpleNamespace(command=command, row_s=0.005, outputs=outputs)
     feigned_rad_s = _feigned_rad_s(MACHINE, run)
     bent = np.flatnonzero(feigned_rad_s > 1e-9)
     np.testing.assert_array_equal(bent, np.arange(27, 41))
     most = 0.08 * stall_acceleration_rad_s2(MACHINE) * 0.005 / 2.0
     assert feigned_rad_s.max() == pytest.approx(most)
+    outputs[:, 9:] = 0.0  # currents of an instant
+    more = 0.08 * 2.0 * no_load_speed_rad_s(MACHINE)
+    assert _feigned_rad_s(MACHINE, run).max() == pytest.approx(most + more)
 
 
 def test_a_cut_out_shows_beside_stamps_that_are_off():

@@ -23,7 +23,13 @@ from scipy.ndimage import maximum_filter1d
 from omnislip import _core
 from omnislip.gap.events import COMMAND_JUMP, SPAN_ROWS, Jumps, peaks
 from omnislip.gap.machine import Machine
-from omnislip.gap.noise import SHAFT, STAMP_S, stall_acceleration_rad_s2
+from omnislip.gap.noise import (
+    CURRENT,
+    SHAFT,
+    STAMP_S,
+    no_load_speed_rad_s,
+    stall_acceleration_rad_s2,
+)
 from omnislip.gap.recordings import Run
 from omnislip.gap.side_by_side import side_by_side
 
@@ -88,14 +94,18 @@ def _feigned_rad_s(machine: Machine, run: Run) -> Array:
 
     Where a command that went evenly changes by c of a sudden, or begins to change, the row's mean
     does not tell when: for half a row the motor has c more or less than by the mean. A soft gear
-    rings for a while with what that was off.
+    rings for a while with what that was off. A logged current is that of an instant, under a
+    command of which two means may hold half each: it shows up to 2 c of the no-load speed.
     """
     bent = np.zeros_like(run.command)
     bent[1:-1] = np.abs(np.diff(run.command, 2, axis=0))
     before = max(SPAN_ROWS, round(RINGS_S / run.row_s))
     size = before + SPAN_ROWS + 1
     most = maximum_filter1d(bent.max(axis=1), size, origin=before - size // 2)
-    return most * stall_acceleration_rad_s2(machine) * run.row_s / 2.0
+    per_command = stall_acceleration_rad_s2(machine) * run.row_s / 2.0
+    if not np.isnan(run.outputs[:, CURRENT]).all():
+        per_command += 2.0 * no_load_speed_rad_s(machine)
+    return most * per_command
 
 
 def _unsure(run: Run) -> npt.NDArray[np.bool_]:

@@ -175,13 +175,30 @@ def tune_noise(
     is enough where the model is fitted again afterwards. A robot's chance fades at `slowest_1_s` or
     faster.
     """
+    return _tuned(machine, runs, values, start, paths, slowest_1_s)[0]
+
+
+def tuned_likelihood(machine: Machine, runs: Sequence[Run], values: Array, start: Noise) -> float:
+    """Return the log-likelihood of some 12 s of the runs by noise that fits them."""
+    return _tuned(machine, runs, values, start, 1, COLOUR_RATES_1_S[0])[1]
+
+
+def _tuned(
+    machine: Machine,
+    runs: Sequence[Run],
+    values: Array,
+    start: Noise | None,
+    paths: int,
+    slowest_1_s: float,
+) -> tuple[Noise, float]:
+    """Return the noise that `tune_noise` finds, and the log-likelihood of the runs it chose."""
     chosen = some_runs(runs)
     make, start_of = NOISES[machine.kind]
     guess = start_of(chosen)
     if machine.engine.pushes:
         guess.low[COLOUR_RATE] = np.log(slowest_1_s)
     logs = trial = guess.logs if start is None else np.clip(start.logs, guess.low, guess.high)
-    best = -np.inf
+    best = likelihood = -np.inf
     for left in reversed(range(paths + 1)):
         try:
             path = _Path(machine, chosen, values, lambda v: make(machine, v), guess, trial)
@@ -191,7 +208,7 @@ def tune_noise(
             break
         if path.log_likelihood < best:  # too far from the path that it was linear along
             break
-        best, logs = path.log_likelihood, trial
+        best, likelihood, logs = path.log_likelihood, path.of_filter, trial
         if not left:
             break
         try:
@@ -200,7 +217,7 @@ def tune_noise(
             break
         if gained < CONVERGED:
             break
-    return make(machine, logs)
+    return make(machine, logs), likelihood
 
 
 def judging_noise(machine: Machine, runs: Sequence[Run], values: Array, noise: Noise) -> Noise:
@@ -232,8 +249,8 @@ class _Path:
         self._recordings = [run.recording for run in runs]
         self._tracks = track_all(machine, runs, values, make(logs), keep_linear=True)
         require_following(runs, self._tracks)
-        total = sum(track.log_likelihood for track in self._tracks)
-        self.log_likelihood = float(total - self._pull(logs))
+        self.of_filter = float(sum(track.log_likelihood for track in self._tracks))
+        self.log_likelihood = float(self.of_filter - self._pull(logs))
 
     def climb(self, logs: Array) -> tuple[float, Array]:
         """Return the gain of the log-likelihood and the logarithms at its maximum."""

@@ -54,7 +54,14 @@ from omnislip.gap.leftover import (
 )
 from omnislip.gap.machine import CURVE, LESS_GRIP, PHASE, WHOLE, Candidate, Machine
 from omnislip.gap.metrics import improvement, replay_all
-from omnislip.gap.noise import Noise, RunawayError, some_runs, track_all, tune_noise
+from omnislip.gap.noise import (
+    Noise,
+    RunawayError,
+    some_runs,
+    track_all,
+    tune_noise,
+    tuned_likelihood,
+)
 from omnislip.gap.recordings import Run
 from omnislip.gap.side_by_side import side_by_side
 from omnislip.gap.terms import dictionary
@@ -132,10 +139,10 @@ PROFILE_STEPS, PROFILE_BETWEEN = 0.5 ** np.arange(12.0, -1.0, -1.0), 9
 """Where between a value and its last an end of its interval is looked for, and places in the step
 that holds the end."""
 DELAY, FAR_DELAYS_ROWS = "actuation_delay", (1.5, 2.0, 3.0, 4.0, 6.0)
-FAR_SIZES = {"gear_backlash": (0.4, 1.35, 13), "bristle_relaxation": (0.2, 1.6, 9)}
+FAR_SIZES = {"gear_backlash": (0.4, 1.35, 13), "bristle_relaxation": (0.03, 1.6, 13)}
 """Delays, in rows, and sizes where no derivative leads: the first in its scale, its factor to the
-next and how many (plays of 4 to 150 mrad of a robot, bristles of 0.2 to 9 mm). Of 63 mrad a play of
-40 explains less than none."""
+next and how many (plays of 4 to 150 mrad of a robot, bristles of 0.03 to 8 mm). Of 63 mrad a play
+of 40 explains less than none."""
 FAR_STEPS = (0.5, 0.25)
 """Steps from the best of them, in rows or steps from size to size."""
 
@@ -911,7 +918,9 @@ class _Ahead:
         covered = [pair for pair in covered if hopes[pair[0].candidate.name] > SURE_GAIN]
         judged = side_by_side(
             lambda pair: self._by_its_noise(
-                pair[0].candidate, self._larger(pair[0].candidate, pair[1].hypothesis)
+                pair[0].candidate,
+                self._larger(pair[0].candidate, pair[1].hypothesis),
+                pair[1].jacobian,
             ),
             clear + covered,
         )
@@ -976,19 +985,11 @@ class _Ahead:
         size = found.fitted.hypothesis.values_of(len(current.effects))[0]
         return found if found.trial.accepted and size >= sizes[0] else None
 
-    def _likelihood(
-        self, hypothesis: Hypothesis, runs: Sequence[Run], start: Noise | None = None
-    ) -> float:
-        """Logarithm of that of a model's own filter, by the noise that is known.
-
-        Or by noise that fits the model, tuned from a `start`.
-        """
-        machine, noise = self._data.machine, self._data.noise
+    def _likelihood(self, hypothesis: Hypothesis, runs: Sequence[Run]) -> float:
+        """Logarithm of that of a model's own filter, by the noise that is known."""
         values = hypothesis.flat(self._data.believed)
         try:
-            if start is not None:
-                noise = tune_noise(machine, runs, values, start, paths=1)
-            tracks = track_all(machine, runs, values, noise)
+            tracks = track_all(self._data.machine, runs, values, self._data.noise)
         except RunawayError:
             return -np.inf
         return float(np.nan_to_num(sum(t.log_likelihood for t in tracks), nan=-np.inf))
@@ -1013,18 +1014,21 @@ class _Ahead:
             )
         return max(offered, key=lambda one: self._likelihood(one, self._data.runs))
 
-    def _by_its_noise(self, candidate: Candidate, start: Hypothesis) -> _Further | None:
+    def _by_its_noise(
+        self, candidate: Candidate, start: Hypothesis, last: Array | None = None
+    ) -> _Further | None:
         """Judge a candidate by the noise that fits it; None where its own filter loses the robot.
 
         What pulls as hard as a motor, tooth by tooth, may gain along the filter of another model.
+        `last`: as `settle` has it.
         """
         self._progress(f"step {self._step}: looking ahead from {candidate.name}")
         machine, noise = self._data.machine, self._data.noise
         try:
-            data, first = settle(machine, self._data.runs, start, noise, FEW_TUNINGS)
+            data, first = settle(machine, self._data.runs, start, noise, FEW_TUNINGS, last)
         except RunawayError:
             return None
-        without = fit(data, self._current.hypothesis)
+        without = fit(data, self._current.hypothesis, last=self._current.jacobian)
         evidence = weigh(data, without, first, len(without.hypothesis.effects))
         [check] = check_unseen(data, without, [first])
         trial = _judge(
@@ -1078,12 +1082,18 @@ class _Ahead:
         are 23,000 likelier).
         """
         data, before = first.data, first.fitted.hypothesis
-        few, shape = some_runs(data.runs), list(candidate.starts[0].values())
+        shape = list(candidate.starts[0].values())
         sizes = _far_sizes(candidate)[1::3]
         models = [before, *(before.with_effect(candidate, [size, *shape]) for size in sizes)]
-        least, *found = side_by_side(
-            lambda model: self._likelihood(model, few, first.data.noise), models
-        )
+
+        def likelihood(model: Hypothesis) -> float:
+            try:
+                values = model.flat(data.believed)
+                return tuned_likelihood(data.machine, data.runs, values, data.noise)
+            except RunawayError:
+                return -np.inf
+
+        least, *found = side_by_side(likelihood, models)
         if max(found) < least + SURE_GAIN / 2:
             return None
         name, start = first.trial.candidate.name, models[1 + int(np.argmax(found))]
@@ -1092,7 +1102,7 @@ class _Ahead:
             data, both = settle(data.machine, data.runs, start, data.noise, FEW_TUNINGS)
         except RunawayError:
             return None
-        without = fit(data, self._current.hypothesis)
+        without = fit(data, self._current.hypothesis, last=self._current.jacobian)
         index = len(before.effects)
         evidence = weigh(data, both.refitted_without(data, index), both, index)
         return self._pair(data, first, without, both, evidence)
