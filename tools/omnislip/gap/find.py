@@ -47,14 +47,7 @@ from omnislip.gap.metrics import (
     replay_all,
 )
 from omnislip.gap.moments import Moment, find_moments
-from omnislip.gap.noise import (
-    LASTING_RATE_1_S,
-    Noise,
-    RunawayError,
-    judging_noise,
-    some_runs,
-    track_all,
-)
+from omnislip.gap.noise import LASTING_RATE_1_S, Noise, judging_noise, track_all
 from omnislip.gap.plan import Separation, separating_manoeuvre
 from omnislip.gap.predictable import (
     EQUATIONS,
@@ -84,10 +77,8 @@ from omnislip.gap.search import (
     Trial,
     first_model,
     search,
-    settle,
     within_row,
 )
-from omnislip.gap.side_by_side import side_by_side
 from omnislip.gap.unknown import Unknown, describe_unknown
 from omnislip.gap.where import Map, Place, describe, map_gap
 from omnislip.gap.wiring import find_wirings, mend
@@ -121,7 +112,6 @@ FEW_RUNS = (
 )
 SURELY_HELD = 10.0
 """Log-likelihood after one tuning from which its sign is that after three, with 40 recordings."""
-SHORT_BRISTLES_M = (4e-5, 1e-4)
 SURELY_MISTAKEN = 100.0
 """Log-likelihood by which a better model has to show that commands are not what the first took
 them for, held within rows or not: beside a delay of two rows that is missing they are 7,000 off,
@@ -499,8 +489,7 @@ def _first_models(machine: Machine, runs: Sequence[Run]) -> tuple[Machine, Noise
     held = likelier_held(machine, runs, first.flat(machine.believed), noise) > SURELY_HELD
     if not held:
         noise, first = first_model(machine, runs, (noise, first), FEW_TUNINGS - 1)
-        judging, model = _with_bristles(machine, runs, noise, first)
-        held = likelier_held(machine, runs, model.flat(machine.believed), judging) > 0.0
+        held = likelier_held(machine, runs, first.flat(machine.believed), noise) > 0.0
     if held:
         machine, runs = (
             machine.of(machine.model, holds_commands=True),
@@ -508,35 +497,6 @@ def _first_models(machine: Machine, runs: Sequence[Run]) -> tuple[Machine, Noise
         )
         noise, first = first_model(machine, runs, (noise, first))
     return machine, noise, first
-
-
-def _with_bristles(
-    machine: Machine, runs: Sequence[Run], noise: Noise, first: Hypothesis
-) -> tuple[Noise, Hypothesis]:
-    """Return noise and model with short bristles where these are surely likelier, else the first.
-
-    A contact that gives before it slides pulls a millisecond late, as commands seem to do that are
-    held within rows where they are taken to move: with 66 um, held was 760 likelier, beside a model
-    without them 120 less likely.
-    """
-    bristles = [c for c in machine.candidates() if c.effect == "bristle_relaxation"]
-    if not bristles:
-        return noise, first
-    few = some_runs(runs)
-    models = [first, *(first.with_effect(bristles[0], [size, 0.0]) for size in SHORT_BRISTLES_M)]
-
-    def likelihood(model: Hypothesis) -> float:
-        try:
-            tracks = track_all(machine, few, model.flat(machine.believed), noise)
-        except RunawayError:
-            return -np.inf
-        return float(np.nan_to_num(sum(t.log_likelihood for t in tracks), nan=-np.inf))
-
-    least, *found = side_by_side(likelihood, models)
-    if max(found) < least + SURELY_MISTAKEN:
-        return noise, first
-    data, fitted = settle(machine, runs, models[1 + int(np.argmax(found))], noise, 1)
-    return data.noise, fitted.hypothesis
 
 
 def _takes_commands_wrongly(

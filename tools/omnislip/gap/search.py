@@ -139,10 +139,10 @@ PROFILE_STEPS, PROFILE_BETWEEN = 0.5 ** np.arange(12.0, -1.0, -1.0), 9
 """Where between a value and its last an end of its interval is looked for, and places in the step
 that holds the end."""
 DELAY, FAR_DELAYS_ROWS = "actuation_delay", (1.5, 2.0, 3.0, 4.0, 6.0)
-FAR_SIZES = {"gear_backlash": (0.4, 1.35, 13), "bristle_relaxation": (0.03, 1.6, 13)}
+FAR_SIZES = {"gear_backlash": (0.4, 1.35, 13), "bristle_relaxation": (0.2, 1.6, 9)}
 """Delays, in rows, and sizes where no derivative leads: the first in its scale, its factor to the
-next and how many (plays of 4 to 150 mrad of a robot, bristles of 0.03 to 8 mm). Of 63 mrad a play
-of 40 explains less than none."""
+next and how many (plays of 4 to 150 mrad of a robot, bristles of 0.2 to 9 mm). Of 63 mrad a play of
+40 explains less than none."""
 FAR_STEPS = (0.5, 0.25)
 """Steps from the best of them, in rows or steps from size to size."""
 
