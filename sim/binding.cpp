@@ -228,6 +228,12 @@ Recording warmed(const Recording &cold, const Array1 &length_s, const Array2 &co
     return r;
 }
 
+Recording reading_before(const Recording &after, bool before) {
+    Recording r = after;
+    r.reads_before = before;
+    return r;
+}
+
 Recording commanded(const Recording &other, const Array2 &command) {
     require(command.size() == other.command.size() &&
                 command.shape(0) == static_cast<std::size_t>(other.rows),
@@ -707,6 +713,9 @@ void bind_replay(nb::module_ &m) {
         .def("rising", &rising, "rise"_a,
              "The same with commands that rise (rows, motors) evenly within each row.")
         .def("commanded", &commanded, "command"_a, "The same with other commands (rows, motors).")
+        .def("reading_before", &reading_before, "before"_a = true,
+             "The same with electric sensors that are read before the command of their row begins, "
+             "or after.")
         .def("warmed", &warmed, "length_s"_a, "cold_current_a2"_a,
              "The same of a robot behind rows of these lengths (rows,) in which cold windings "
              "would have let currents of these squares (rows, motors) through.");

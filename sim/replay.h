@@ -54,6 +54,8 @@ struct Recording {
     std::vector<double> initial_state;
     double settle_s = kSettleTime_s;
     std::vector<double> rise{}; /* of the command within the row, around its mean; empty: held */
+    /* Whether electric sensors are read before the command of their row begins, not after. */
+    bool reads_before = false;
     /* What warmed the motors before the first row: lengths of rows, and squares of the currents
      * that cold windings would have let through [row][motor]. */
     std::vector<double> past_s{}, past_current_a2{};

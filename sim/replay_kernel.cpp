@@ -184,7 +184,8 @@ class KernelOf final : public Kernel {
         else
             plant.output(x, S(time_s), y);
         if constexpr (kElectric > 0) {
-            const Commands commands = logged(plant, recording, k);
+            const long under = recording.reads_before && k > 0 ? k - 1 : k;
+            const Commands commands = logged(plant, recording, under);
             S command[kMotors], dx[kAll];
             Internals in;
             commands(time_s, time_s, command);

@@ -27,10 +27,18 @@ from typing import Any
 from omnislip.errors import InputError
 from omnislip.gap.answers import likelier_held
 from omnislip.gap.events import LEAST_PIECE_S, known_pushes
-from omnislip.gap.find import HELD_COMMANDS, LEAST_ROWS, MOST_FITTED_S, too_still, usable_runs
+from omnislip.gap.find import (
+    HELD_COMMANDS,
+    LEAST_ROWS,
+    MOST_FITTED_S,
+    READ_BEFORE,
+    too_still,
+    usable_runs,
+)
 from omnislip.gap.gates import check, rows_far_apart
 from omnislip.gap.metrics import gap_table, replay_all
 from omnislip.gap.noise import judging_noise, tune_noise
+from omnislip.gap.read_before import reading_machine
 from omnislip.gap.recordings import machine_for, unused_columns
 from omnislip.gap.wiring import mend
 from omnislip.log_file import read_logs, without_copies
@@ -57,6 +65,7 @@ def evaluate_model(
     checked = check(machine, logs)
     if checked.complaint:
         raise InputError(f"the logs cannot be used: {checked.complaint}")
+    machine = reading_machine(machine, checked.logs)
     cuts = checked.cuts + known_pushes(model, checked.logs)
     runs = [
         replace(run, unit=log.name)
@@ -76,7 +85,9 @@ def evaluate_model(
     noise = tune_noise(machine, runs, machine.believed)
     total_s = sum(run.duration_s for run in runs)
     some = runs[:: max(1, round(total_s / MOST_FITTED_S))]
-    if likelier_held(machine, some, machine.believed, noise) > 0.0:
+    if machine.reads_before:
+        told += [HELD_COMMANDS, READ_BEFORE]
+    elif likelier_held(machine, some, machine.believed, noise) > 0.0:
         machine = machine.of(model, holds_commands=True)
         runs = [run.held_in_rows() for run in runs]
         told.append(HELD_COMMANDS)

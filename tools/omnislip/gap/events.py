@@ -480,7 +480,7 @@ class _Window:
         self._outputs = run.outputs[first - 1 : end].copy()
         self._outputs[0] = np.nan
         self._start = filtered[first - 1][: machine.engine.states]
-        calm = machine.engine.recording(self._t_s, self._command, self._outputs, self._start)
+        calm = machine.recording(self._t_s, self._command, self._outputs, self._start)
         variance = self._track(calm).replay_variance.reshape(self._outputs.shape)
         self._weight = 1.0 / np.sqrt(variance)
         self._calm = self._replayed(calm) * self._weight
@@ -517,7 +517,7 @@ class _Window:
             moved = command.copy()
             for k, share in zip(jumps, earlier, strict=True):
                 moved[k - 1 if share > 0.0 else k] += share * change[k]
-            recording = self._machine.engine.recording(
+            recording = self._machine.recording(
                 self._t_s, np.clip(moved, -1.0, 1.0), self._outputs, self._start
             )
             return np.nan_to_num(self._replayed(recording) * self._weight).ravel()
@@ -535,7 +535,7 @@ class _Window:
         state = self._states[time_s].copy()
         state[VELOCITY] += jump
         blank = np.full((1, self._outputs.shape[1]), np.nan)
-        recording = self._machine.engine.recording(
+        recording = self._machine.recording(
             np.concatenate([[time_s], self._t_s[row + 1 :]]),
             self._command[row:],
             np.concatenate([blank, self._outputs[row + 1 :]]),
@@ -555,7 +555,7 @@ class _Window:
         """States at the times to try, without a push."""
         t_s = np.union1d(self._t_s, self.times_s)
         row = np.searchsorted(self._t_s, t_s, side="right") - 1
-        recording = self._machine.engine.recording(
+        recording = self._machine.recording(
             t_s,
             self._command[row],
             np.full((len(t_s), self._outputs.shape[1]), np.nan),

@@ -47,7 +47,13 @@ from omnislip.gap.metrics import (
     replay_all,
 )
 from omnislip.gap.moments import Moment, find_moments
-from omnislip.gap.noise import LASTING_RATE_1_S, Noise, judging_noise, track_all
+from omnislip.gap.noise import (
+    LASTING_RATE_1_S,
+    Noise,
+    RunawayError,
+    judging_noise,
+    track_all,
+)
 from omnislip.gap.plan import Separation, separating_manoeuvre
 from omnislip.gap.predictable import (
     EQUATIONS,
@@ -55,6 +61,7 @@ from omnislip.gap.predictable import (
     Predictable,
     predictable_shares,
 )
+from omnislip.gap.read_before import reading_machine
 from omnislip.gap.recordings import (
     ODOMETRY_CHANNELS,
     UNSEEN_SETTLE_S,
@@ -77,6 +84,7 @@ from omnislip.gap.search import (
     Trial,
     first_model,
     search,
+    settle,
     within_row,
 )
 from omnislip.gap.unknown import Unknown, describe_unknown
@@ -118,6 +126,7 @@ them for, held within rows or not: beside a delay of two rows that is missing th
 and what smooth commands do within rows tells 10 to 70 and nothing about effects."""
 BLIND = "where rows are missing: a push cannot be told from what was commanded there"
 HELD_COMMANDS = "duties: taken as held from row to row, as a controller at the rate of the log does"
+READ_BEFORE = "currents and voltage: taken as read before the duty of their row began"
 STABLE = 0.9
 """Share of resamples of the runs in which a name has to hold."""
 WEAK_SHARE = 1e-2
@@ -286,6 +295,7 @@ def find_gap(
     logs, cuts, told = checked.logs, checked.cuts, [*told, *checked.told]
     if checked.complaint:
         return _insufficient(machine, checked.complaint, inputs, told, wirings, CANNOT_BE_USED)
+    machine = reading_machine(machine, logs)
     progress("looking for impacts")
     cuts += known_pushes(model, logs)
     known = split_runs(machine, logs, cuts)
@@ -327,6 +337,8 @@ def find_gap(
     told += [f"{one.run}: cut at {one.time_s:.3f} s, {BLIND}" for one in blind]
     if machine.holds_commands:
         told.append(HELD_COMMANDS)
+    if machine.reads_before:
+        told.append(READ_BEFORE)
     if outcome.selected or outcome.leftover:
         reason = logged_set_points(machine, logs, outcome.final.hypothesis.flat(machine.believed))
         if reason:
@@ -485,6 +497,13 @@ def _first_models(machine: Machine, runs: Sequence[Run]) -> tuple[Machine, Noise
 
     What is surely likelier shows by one tuning of the noise.
     """
+    if machine.reads_before:
+        noise, first = first_model(machine, runs)
+        if not _acts_late(machine, runs, noise, first):
+            return machine, noise, first
+        machine = machine.of(machine.model, holds_commands=False, reads_before=False)
+        after = [replace(run, recording=run.recording.reading_before(False)) for run in runs]
+        runs = [run.moving_in_rows() for run in after]
     noise, first = first_model(machine, runs, tunings=1)
     held = likelier_held(machine, runs, first.flat(machine.believed), noise) > SURELY_HELD
     if not held:
@@ -497,6 +516,26 @@ def _first_models(machine: Machine, runs: Sequence[Run]) -> tuple[Machine, Noise
         )
         noise, first = first_model(machine, runs, (noise, first))
     return machine, noise, first
+
+
+def _acts_late(machine: Machine, runs: Sequence[Run], noise: Noise, first: Hypothesis) -> bool:
+    """Whether the motion is a row late, too, not only what the electric sensors read.
+
+    A delay of a row shows the same currents, read after it acts: each by noise that fits it.
+    """
+    delays = [c for c in machine.candidates() if c.effect == "actuation_delay"]
+    if not delays:  # the believed model has one
+        return False
+    row_s = float(np.median([run.row_s for run in runs]))
+    after = [replace(run, recording=run.recording.reading_before(False)) for run in runs]
+    try:
+        data, late = settle(machine, after, first.with_effect(delays[0], [row_s]), noise, 1)
+        there = track_all(machine, after, late.hypothesis.flat(machine.believed), data.noise)
+    except RunawayError:
+        return False
+    here = track_all(machine, runs, first.flat(machine.believed), noise)
+    likelihoods = [sum(track.log_likelihood for track in tracks) for tracks in (here, there)]
+    return likelihoods[1] > likelihoods[0]
 
 
 def _takes_commands_wrongly(

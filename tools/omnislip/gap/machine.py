@@ -147,26 +147,49 @@ class Machine:
     """The believed machine: flat values, the engine that replays it, and what may be fitted.
 
     An `electric` robot's outputs hold bus voltage and motor currents too. One that
-    `holds_commands` within the rows of its logs has a controller as slow as they are.
+    `holds_commands` within the rows of its logs has a controller as slow as they are; one that
+    `reads_before` it acts shows currents and voltage under the command of the row before.
     """
 
-    def __init__(self, model: Model, electric: bool = False, holds_commands: bool = False) -> None:
+    def __init__(
+        self,
+        model: Model,
+        electric: bool = False,
+        holds_commands: bool = False,
+        reads_before: bool = False,
+    ) -> None:
         self.model = model
         self.kind = model.kind
         self.linear = model.kind == "axis" and axis_is_linear(model)
         self.engine = _core.Engine(model.kind, user_effects=model.own_effects, electric=electric)
         self.electric = electric
         self.holds_commands = holds_commands
+        self.reads_before = reads_before
         self.wheels = len(model.values.get(f"{model.kind}.wheel_angles_deg", [0.0]))
         """Wheels of the machine; an axis counts as one."""
         self.catalogue = {e["name"]: e for e in model.catalogue if model.kind in e["kinds"]}
         self._places = self._layout()
         self.believed = self._flat_values()
 
-    def of(self, model: Model, holds_commands: bool | None = None) -> "Machine":
+    def of(
+        self, model: Model, holds_commands: bool | None = None, reads_before: bool | None = None
+    ) -> "Machine":
         """Return the machine of another model; sensors and, if not said, controller stay."""
         held = self.holds_commands if holds_commands is None else holds_commands
-        return Machine(model, self.electric, held)
+        before = self.reads_before if reads_before is None else reads_before
+        return Machine(model, self.electric, held, before)
+
+    def recording(
+        self,
+        t_s: Array,
+        command: Array,
+        outputs: Array,
+        state: Array,
+        settle_s: float = _core.SETTLE_S,
+    ) -> _core.Recording:
+        """Return what `_core.Engine.recording` does, its sensors read when this machine does."""
+        made = self.engine.recording(t_s, command, outputs, state, settle_s)
+        return made.reading_before() if self.reads_before else made
 
     def place(self, effect: str, parameter: str, wheel: int | None) -> tuple[int, ...]:
         """Return where a parameter of an effect stands; all wheels' places for wheel None."""

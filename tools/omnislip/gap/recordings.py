@@ -149,7 +149,7 @@ def make_run(machine: Machine, log: Log, begin: int = 0, end: int | None = None)
         speed = (outputs[span, 0] - outputs[0, 0]) / (t_s[span] - t_s[0])
         state = np.array([speed, outputs[0, 0]])
         channels, scale = (position,), np.ones(1)
-    recording = machine.engine.recording(t_s, command, outputs, state, settle_s)
+    recording = machine.recording(t_s, command, outputs, state, settle_s)
     if machine.kind == "robot" and begin > 0:
         recording = recording.warmed(*_past_currents(machine, log, begin))
     # The engine reads a blank command as "drive off"; for everybody else that is no command.

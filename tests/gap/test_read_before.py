@@ -1,0 +1,102 @@
+"""Are electric sensors read before the command of their row begins, or after?"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from omnislip.gap.find import _first_models
+from omnislip.gap.machine import Machine
+from omnislip.gap.read_before import reading_machine
+from omnislip.gap.recordings import ELECTRIC_CHANNELS, ROBOT_CHANNELS, make_run
+from omnislip.log_file import Log
+from omnislip.model_file import NOMINAL_ROBOT, Effect, read_model
+
+MODEL = replace(
+    read_model(NOMINAL_ROBOT), effects=[Effect("supply_sag", {"source_resistance_ohm": 0.1})]
+)
+MACHINE = Machine(MODEL, electric=True)
+ROW_S, ROWS = 0.005, 500
+NOISE = np.array([0.0] * 4 + [5e-3, 1e-3, 1e-3, 1e-3, 0.02] + [0.05] * 4)
+
+
+def shown(machine, duty):
+    """What the sensors of a robot show (rows, outputs) that starts from rest."""
+    t_s, engine = ROW_S * np.arange(len(duty)), machine.engine
+    run = machine.recording(t_s, duty, np.zeros((len(duty), engine.outputs)), np.zeros(14))
+    none, one = np.zeros(engine.states), np.ones(engine.outputs)
+    tracks = engine.track([run], machine.believed, none, one, none)
+    return -engine.replays([run], tracks, machine.believed[None], 5e-4, 1e9)[0][0]
+
+
+def log_of(seed, before=False, effect=None):
+    """A log of duties that a controller at its rate sets anew in every row, with noise."""
+    rng = np.random.default_rng(seed)
+    duty = np.cumsum(0.03 * rng.standard_normal((ROWS, 4)), axis=0)
+    duty -= np.linspace(0.0, 1.0, ROWS)[:, None] * duty[-1]
+    duty = np.clip(duty, -0.5, 0.5)
+    model = replace(MODEL, effects=[*MODEL.effects, effect] if effect else MODEL.effects)
+    outputs = shown(Machine(model, electric=True, holds_commands=True, reads_before=before), duty)
+    outputs[:, :4] *= MODEL.values["encoder.counts_per_rev"] / (2.0 * np.pi)
+    outputs[:, :4] = np.round(outputs[:, :4])
+    outputs += NOISE * rng.standard_normal(outputs.shape)
+    outputs[np.arange(ROWS) % 4 > 0, 5:8] = np.nan
+    columns = {f"wheel/{w + 1}/duty": duty[:, w] for w in range(4)}
+    columns |= dict(zip((*ROBOT_CHANNELS, *ELECTRIC_CHANNELS), outputs.T, strict=True))
+    return Log(f"log_{seed}", ROW_S * np.arange(ROWS), columns)
+
+
+def logs_of(sensors=ELECTRIC_CHANNELS, **how):
+    logs = [log_of(seed, **how) for seed in range(3)]
+    left_out = set(ELECTRIC_CHANNELS) - set(sensors)
+    return [
+        replace(log, columns={n: v for n, v in log.columns.items() if n not in left_out})
+        for log in logs
+    ]
+
+
+def test_a_current_read_before_is_that_of_the_row_before_at_the_speed_of_now():
+    """(8): the command of the row before; another row's makes V / R of the difference."""
+    rng = np.random.default_rng(4)
+    duty = rng.uniform(-0.3, 0.3, (40, 4))
+    plain = read_model(NOMINAL_ROBOT)  # no sag
+    after, before = (
+        shown(Machine(plain, electric=True, holds_commands=True, reads_before=read), duty)
+        for read in (False, True)
+    )
+    np.testing.assert_array_equal(after[:, :9], before[:, :9])
+    np.testing.assert_array_equal(after[0], before[0])
+    stall_a = plain.values["motor.supply_v"] / plain.values["motor.resistance_ohm"]
+    np.testing.assert_allclose(
+        (after - before)[1:, 9:], stall_a * np.diff(duty, axis=0), rtol=1e-9, atol=1e-9
+    )
+
+
+@pytest.mark.parametrize(
+    "sensors", [ELECTRIC_CHANNELS[:1], ELECTRIC_CHANNELS[1:], ELECTRIC_CHANNELS]
+)
+def test_what_electric_sensors_show_tells_when_they_are_read(sensors):
+    before = reading_machine(MACHINE, logs_of(sensors, before=True))
+    assert before.reads_before
+    assert before.holds_commands
+    assert reading_machine(MACHINE, logs_of(sensors)) is MACHINE
+
+
+def test_an_inductance_that_makes_currents_late_is_no_early_reading():
+    coil = Effect("armature_inductance", {"inductance_h": 4e-3})
+    assert reading_machine(MACHINE, logs_of(effect=coil)) is MACHINE
+
+
+def test_robots_without_these_sensors_read_as_they_did():
+    machine = Machine(MODEL)
+    assert reading_machine(machine, logs_of(sensors=())) is machine
+
+
+@pytest.mark.parametrize("late", [False, True], ids=["read before", "all a row late"])
+def test_a_command_that_acts_a_row_late_is_no_early_reading_either(late):
+    """Both show the same currents; only where it acts late does the motion come late, too."""
+    delay = Effect("actuation_delay", {"delay_s": ROW_S})
+    logs = logs_of(effect=delay) if late else logs_of(before=True)
+    machine = reading_machine(MACHINE, logs)
+    assert machine.reads_before
+    found, _, _ = _first_models(machine, [make_run(machine, log) for log in logs])
+    assert found.reads_before is not late
