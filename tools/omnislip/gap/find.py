@@ -521,7 +521,8 @@ def _first_models(machine: Machine, runs: Sequence[Run]) -> tuple[Machine, Noise
 def _acts_late(machine: Machine, runs: Sequence[Run], noise: Noise, first: Hypothesis) -> bool:
     """Whether the motion is a row late, too, not only what the electric sensors read.
 
-    A delay of a row shows the same currents, read after it acts: each by noise that fits it.
+    A delay of a row shows the same currents, read after it acts: each by noise that fits it. (A fit
+    that ends at a short delay says nothing of when sensors are read.)
     """
     delays = [c for c in machine.candidates() if c.effect == "actuation_delay"]
     if not delays:  # the believed model has one
@@ -535,7 +536,8 @@ def _acts_late(machine: Machine, runs: Sequence[Run], noise: Noise, first: Hypot
         return False
     here = track_all(machine, runs, first.flat(machine.believed), noise)
     likelihoods = [sum(track.log_likelihood for track in tracks) for tracks in (here, there)]
-    return likelihoods[1] > likelihoods[0]
+    delay_s = late.hypothesis.values_of(-1)[0]
+    return likelihoods[1] > likelihoods[0] and delay_s > 0.5 * row_s
 
 
 def _takes_commands_wrongly(
