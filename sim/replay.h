@@ -1,7 +1,7 @@
 /* replay.h - recorded commands driven through the model: predictor, innovations, replays.
  *
  * A recording is one run: times, the command from each row to the next, and what the sensors showed
- * (NaN = not sampled in that row). Four computations over it:
+ * (NaN = not sampled in that row). Five computations over it:
  *
  *   track        an extended Kalman filter of one model. It gives, row by row, the gain K_k and the
  *                factor W_k with W_k S_k W_k' = I, S_k the covariance of the innovation; also the
@@ -13,6 +13,7 @@
  *                whitened by W_k. Frozen gains make the residual a smooth function of the
  *                parameters and lose no information: for any gain the innovations are an
  *                invertible function of the measurements.
+ *   respond      what pushes that are known as functions of time change of these innovations.
  *   replays      free-running simulation, restarted from the filtered state every `window_s`:
  *                measured minus simulated, the error a user of the simulator sees.
  *

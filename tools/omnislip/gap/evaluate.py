@@ -32,6 +32,8 @@ from omnislip.gap.find import (
     LEAST_ROWS,
     MOST_FITTED_S,
     READ_BEFORE,
+    acts_late,
+    read_after,
     too_still,
     usable_runs,
 )
@@ -40,6 +42,7 @@ from omnislip.gap.metrics import gap_table, replay_all
 from omnislip.gap.noise import judging_noise, tune_noise
 from omnislip.gap.read_before import reading_machine
 from omnislip.gap.recordings import machine_for, unused_columns
+from omnislip.gap.search import believed_hypothesis
 from omnislip.gap.wiring import mend
 from omnislip.log_file import read_logs, without_copies
 from omnislip.model_file import read_model
@@ -85,6 +88,10 @@ def evaluate_model(
     noise = tune_noise(machine, runs, machine.believed)
     total_s = sum(run.duration_s for run in runs)
     some = runs[:: max(1, round(total_s / MOST_FITTED_S))]
+    if machine.reads_before and acts_late(machine, some, noise, believed_hypothesis(machine)):
+        machine = machine.of(model, holds_commands=False, reads_before=False)
+        runs, some = ([r.moving_in_rows() for r in read_after(own)] for own in (runs, some))
+        noise = tune_noise(machine, runs, machine.believed)
     if machine.reads_before:
         told += [HELD_COMMANDS, READ_BEFORE]
     elif likelier_held(machine, some, machine.believed, noise) > 0.0:

@@ -74,6 +74,7 @@ from omnislip.gap.recordings import (
 from omnislip.gap.search import (
     ALPHA,
     CONFIDENCE,
+    DELAY,
     FEW_TUNINGS,
     FRICTION_OVER_SLIP,
     SURE_GAIN,
@@ -499,11 +500,10 @@ def _first_models(machine: Machine, runs: Sequence[Run]) -> tuple[Machine, Noise
     """
     if machine.reads_before:
         noise, first = first_model(machine, runs)
-        if not _acts_late(machine, runs, noise, first):
+        if not acts_late(machine, runs, noise, first):
             return machine, noise, first
         machine = machine.of(machine.model, holds_commands=False, reads_before=False)
-        after = [replace(run, recording=run.recording.reading_before(False)) for run in runs]
-        runs = [run.moving_in_rows() for run in after]
+        runs = [run.moving_in_rows() for run in read_after(runs)]
     noise, first = first_model(machine, runs, tunings=1)
     held = likelier_held(machine, runs, first.flat(machine.believed), noise) > SURELY_HELD
     if not held:
@@ -518,19 +518,19 @@ def _first_models(machine: Machine, runs: Sequence[Run]) -> tuple[Machine, Noise
     return machine, noise, first
 
 
-def _acts_late(machine: Machine, runs: Sequence[Run], noise: Noise, first: Hypothesis) -> bool:
+def acts_late(machine: Machine, runs: Sequence[Run], noise: Noise, first: Hypothesis) -> bool:
     """Whether the motion is a row late, too, not only what the electric sensors read.
 
     A delay of a row shows the same currents, read after it acts: each by noise that fits it. (A fit
     that ends at a short delay says nothing of when sensors are read.)
     """
-    delays = [c for c in machine.candidates() if c.effect == "actuation_delay"]
-    if not delays:  # the believed model has one
-        return False
+    delay = next(c for c in machine.candidates() if c.effect == DELAY)
     row_s = float(np.median([run.row_s for run in runs]))
-    after = [replace(run, recording=run.recording.reading_before(False)) for run in runs]
+    if first.flat(machine.believed)[delay.parameters[0].places[0]] > 0.5 * row_s:
+        return True  # the model says so
+    after = read_after(runs)
     try:
-        data, late = settle(machine, after, first.with_effect(delays[0], [row_s]), noise, 1)
+        data, late = settle(machine, after, first.with_effect(delay, [row_s]), noise, 1)
         there = track_all(machine, after, late.hypothesis.flat(machine.believed), data.noise)
     except RunawayError:
         return False
@@ -538,6 +538,11 @@ def _acts_late(machine: Machine, runs: Sequence[Run], noise: Noise, first: Hypot
     likelihoods = [sum(track.log_likelihood for track in tracks) for tracks in (here, there)]
     delay_s = late.hypothesis.values_of(-1)[0]
     return likelihoods[1] > likelihoods[0] and delay_s > 0.5 * row_s
+
+
+def read_after(runs: Sequence[Run]) -> list[Run]:
+    """Return runs as if electric sensors had been read after their row's command began."""
+    return [replace(run, recording=run.recording.reading_before(False)) for run in runs]
 
 
 def _takes_commands_wrongly(

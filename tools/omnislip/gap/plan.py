@@ -354,7 +354,8 @@ def separating_manoeuvre(
         for c in range(machine.engine.outputs)
         if all(np.isnan(run.outputs[:, c]).all() for run in data.runs)
     ]
-    machine = machine.of(machine.model, holds_commands=False)  # the firmware is fast
+    # The firmware is fast.
+    machine = machine.of(machine.model, holds_commands=False, reads_before=False)
     rehearsal = Rehearsal(machine, Limits(), blank, _rate_of(data.runs[0]))
     truth = _model_of(machine, final)
     without = final.without(final.place_of(name))
