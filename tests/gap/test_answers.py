@@ -11,7 +11,7 @@ from omnislip.gap.answers import Foreseen, News, news_of
 from omnislip.gap.inference import Data
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import track_all, tune_noise
-from omnislip.gap.search import believed_hypothesis
+from omnislip.gap.settle import believed_hypothesis
 from omnislip.gap.truth import TruthCase
 from omnislip.gap.truth_effects import HiddenEffect, typical_effect
 from omnislip.model_file import NOMINAL_ROBOT, read_model

@@ -11,7 +11,7 @@ from omnislip.gap.inference import DIVERGED, fit
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import first_guess
 from omnislip.gap.recordings import make_run
-from omnislip.gap.search import believed_hypothesis
+from omnislip.gap.settle import believed_hypothesis
 from omnislip.gap.truth import TruthCase, write_case
 from omnislip.gap.truth_effects import HiddenEffect
 from omnislip.log_file import read_log

@@ -21,7 +21,7 @@ from omnislip.gap.inference import Data
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import track_all, tune_noise
 from omnislip.gap.recordings import make_run
-from omnislip.gap.search import believed_hypothesis, first_model
+from omnislip.gap.settle import believed_hypothesis, first_model
 from omnislip.gap.truth import TruthCase, write_case
 from omnislip.log_file import POSE_COLUMNS, Log, read_log
 from omnislip.model_file import IMPACT_KEYS, NOMINAL_ROBOT, Effect, read_model, write_model

@@ -27,7 +27,7 @@ from omnislip.gap.leftover import Shape
 from omnislip.gap.machine import Machine
 from omnislip.gap.metrics import Closed, Left
 from omnislip.gap.plan import Manoeuvre, Separation
-from omnislip.gap.search import Selected
+from omnislip.gap.selected import Selected
 from omnislip.gap.truth import TruthCase, write_case
 from omnislip.gap.truth_effects import HiddenEffect, typical_effect
 from omnislip.log_file import POSE_COLUMNS, Log, write_log

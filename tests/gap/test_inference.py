@@ -45,7 +45,7 @@ from omnislip.gap.inference import (
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import RunawayError, track_all, tune_noise
 from omnislip.gap.recordings import make_run
-from omnislip.gap.search import believed_hypothesis
+from omnislip.gap.settle import believed_hypothesis
 from omnislip.gap.truth import TruthCase
 from omnislip.model_file import NOMINAL_ROBOT, read_model
 from scipy.stats import binom, chi2, kstest

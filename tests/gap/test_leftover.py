@@ -18,7 +18,7 @@ from omnislip.gap.leftover import (
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import tune_noise
 from omnislip.gap.recordings import make_run, unwrap_counts
-from omnislip.gap.search import believed_hypothesis, settle
+from omnislip.gap.settle import believed_hypothesis, settle
 from omnislip.gap.terms import BODY_SHAPES, Term, dictionary, nameless, swing_terms
 from omnislip.gap.truth import TruthCase
 from omnislip.gap.truth_effects import typical_effect

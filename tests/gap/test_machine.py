@@ -8,7 +8,7 @@ from axis_bench import MASS_KG, make_machine, model_text
 from omnislip import _core
 from omnislip.gap.machine import AXIS_KEYS, Machine
 from omnislip.gap.recordings import make_run
-from omnislip.gap.search import believed_hypothesis
+from omnislip.gap.settle import believed_hypothesis
 from omnislip.log_file import Log
 from omnislip.model_file import NOMINAL_ROBOT, Effect, read_model, write_model
 

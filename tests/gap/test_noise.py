@@ -25,7 +25,7 @@ from omnislip.gap.noise import (
     track_recordings,
     tune_noise,
 )
-from omnislip.gap.search import believed_hypothesis
+from omnislip.gap.settle import believed_hypothesis
 from omnislip.gap.truth import TruthCase
 from omnislip.gap.truth_effects import HiddenEffect
 from omnislip.model_file import NOMINAL_ROBOT, Effect, read_model, write_model

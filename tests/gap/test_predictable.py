@@ -11,7 +11,7 @@ from omnislip.gap.machine import Machine
 from omnislip.gap.noise import track_all
 from omnislip.gap.predictable import EQUATIONS, OWN_PASTS_S, Predictable, predictable_shares
 from omnislip.gap.recordings import ELECTRIC_CHANNELS, ROBOT_CHANNELS, make_run
-from omnislip.gap.search import believed_hypothesis, settle
+from omnislip.gap.settle import believed_hypothesis, settle
 from omnislip.gap.truth import TruthCase
 from omnislip.log_file import POSE_COLUMNS
 from omnislip.model_file import NOMINAL_ROBOT, read_model

@@ -20,13 +20,16 @@ from omnislip.gap.balances import Balance
 from omnislip.gap.events import Impact
 from omnislip.gap.find import Findings, Split, Step, one_digit, to_json, with_deviation
 from omnislip.gap.inference import Evidence, Fit, Hypothesis
+from omnislip.gap.judge import Trial
 from omnislip.gap.leftover import Leftover
 from omnislip.gap.machine import Machine
 from omnislip.gap.metrics import Closed, GapTable, Left, Replays
 from omnislip.gap.plan import Manoeuvre, Separation
 from omnislip.gap.recordings import ROBOT_CHANNELS, Run
+from omnislip.gap.refit import FULL_REFITS
 from omnislip.gap.report import HEADLINES, format_number, render
-from omnislip.gap.search import FULL_REFITS, REFITS, Outcome, Selected, Trial
+from omnislip.gap.search import REFITS, Outcome
+from omnislip.gap.selected import Selected
 from omnislip.gap.where import AXIS_EQUATIONS, ROBOT_EQUATIONS, Map, Place
 from omnislip.model_file import NOMINAL_ROBOT, Effect, Model, read_model
 

@@ -13,7 +13,7 @@ from omnislip.gap.rows import (
     hidden_columns,
     rise_of,
 )
-from omnislip.gap.search import believed_hypothesis
+from omnislip.gap.settle import believed_hypothesis
 from omnislip.gap.truth import TruthCase
 from omnislip.model_file import NOMINAL_ROBOT, read_model
 from scipy.stats import chi2

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from omnislip.gap.leftover import find_leftover, responses
 from omnislip.gap.machine import Machine
 from omnislip.gap.recordings import make_run, unwrap_counts
-from omnislip.gap.search import believed_hypothesis, settle
+from omnislip.gap.settle import believed_hypothesis, settle
 from omnislip.gap.terms import Quantity, dictionary, swing_terms
 from omnislip.gap.truth import TruthCase, write_case
 from omnislip.gap.unknown import Curve, describe_unknown, equations, propose

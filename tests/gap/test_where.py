@@ -10,7 +10,8 @@ from omnislip.gap.leftover import find_shapes
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import tune_noise
 from omnislip.gap.recordings import Run
-from omnislip.gap.search import believed_hypothesis, search
+from omnislip.gap.search import search
+from omnislip.gap.settle import believed_hypothesis
 from omnislip.gap.truth import TruthCase
 from omnislip.gap.truth_effects import typical_effect
 from omnislip.gap.where import ROBOT_EQUATIONS, Map, describe, map_gap

@@ -1,11 +1,17 @@
-"""Logs of the independent generator in memory, for tests that need no folder."""
+"""Logs of the independent generator, in memory or in a folder, and their runs."""
 
-from omnislip.gap.inference import Data, fit
-from omnislip.gap.machine import Machine
+from dataclasses import replace
+from pathlib import Path
+
+from omnislip.gap.inference import Data, Fit, fit
+from omnislip.gap.machine import Candidate, Machine
 from omnislip.gap.recordings import Run, make_run
-from omnislip.gap.search import believed_hypothesis, screen
-from omnislip.gap.truth import TruthCase, generate
-from omnislip.log_file import Log
+from omnislip.gap.screen import screen
+from omnislip.gap.settle import believed_hypothesis, settle
+from omnislip.gap.truth import TruthCase, generate, write_case
+from omnislip.gap.truth_effects import HiddenEffect
+from omnislip.log_file import Log, read_log
+from omnislip.model_file import NOMINAL_ROBOT, read_model
 
 LAGS = ("actuation_delay", "driver_lag", "armature_inductance")
 
@@ -29,3 +35,37 @@ def promises(data: Data, names: tuple[str, ...] = LAGS) -> dict[str, float]:
     base = fit(data, believed_hypothesis(data.machine), iterations=4)
     asked = [c for c in data.machine.candidates() if c.effect in names]
     return {s.candidate.effect: s.promise for s in screen(data, base, asked)}
+
+
+def robot_runs(case: TruthCase, folder: Path) -> tuple[Machine, list[Run], dict[str, Candidate]]:
+    """The robot of a case's logs, its runs, and its candidates by their effects."""
+    write_case(case, folder)
+    robot = Machine(read_model(folder / "robot.toml"))
+    logs = [read_log(path, "robot") for path in sorted(folder.glob("run_*.csv"))]
+    runs = [replace(make_run(robot, log), unit=log.name) for log in logs]
+    candidates = robot.candidates_for(runs)
+    return robot, runs, {c.effect: c for c in candidates}
+
+
+def robot_with_magnets(
+    magnets: float, folder: Path
+) -> tuple[Machine, list[Run], dict[str, Candidate]]:
+    """The same of a robot whose motors cog; the phase is 1 rad."""
+    hidden = {"torque_nm": 0.008, "cycles_per_rev": magnets, "phase_rad": 1.0}
+    effect = HiddenEffect("cogging", hidden).as_dict()
+    case = TruthCase(seed=3, runs=2, run_duration_s=3.0, base_offset_sd=0.0, effects=(effect,))
+    return robot_runs(case, folder)
+
+
+def lag_named(
+    folder: Path, hidden: str, named: str
+) -> tuple[Data, Fit, dict[str, list[Candidate]]]:
+    """Data with 1.5 ms of lag or delay, their fit under a name, and what may stand in its place."""
+    robot = Machine(read_model(NOMINAL_ROBOT))
+    labels = {c.effect: c.parameters[0].label for c in robot.candidates()}
+    effect = HiddenEffect(hidden, {labels[hidden]: 0.0015}).as_dict()
+    case = TruthCase(seed=77, effects=(effect,), excitation="rich", runs=2)
+    robot, runs, candidates = robot_runs(case, folder)
+    start = believed_hypothesis(robot).with_effect(candidates[named], [0.001])
+    rivals = {named: [candidates[name] for name in LAGS if name != named]}
+    return *settle(robot, runs, start), rivals

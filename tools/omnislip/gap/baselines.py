@@ -51,12 +51,9 @@ from omnislip.gap.metrics import WINDOW_S, gap_table, replay_all
 from omnislip.gap.noise import Noise, track_all, tune_noise
 from omnislip.gap.peers import FREE
 from omnislip.gap.recordings import Run
-from omnislip.gap.search import (
-    NEIGHBOURS,
-    Screened,
-    believed_hypothesis,
-    screen,
-)
+from omnislip.gap.screen import Screened, screen
+from omnislip.gap.search import NEIGHBOURS
+from omnislip.gap.settle import believed_hypothesis
 
 Array = npt.NDArray[np.float64]
 Pair = tuple[str, int | None]

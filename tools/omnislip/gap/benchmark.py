@@ -42,7 +42,7 @@ from omnislip.gap.machine import CURVE, PHASE, Candidate, Machine, name_on_wheel
 from omnislip.gap.metrics import gap_table, replay_all
 from omnislip.gap.noise import judging_noise, tune_noise
 from omnislip.gap.recordings import Run
-from omnislip.gap.search import believed_hypothesis
+from omnislip.gap.settle import believed_hypothesis
 from omnislip.gap.truth import TruthCase, random_case, write_case
 from omnislip.gap.truth_effects import EFFECTS, UNKNOWN_EFFECTS
 from omnislip.log_file import read_logs

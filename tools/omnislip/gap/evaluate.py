@@ -42,7 +42,7 @@ from omnislip.gap.metrics import gap_table, replay_all
 from omnislip.gap.noise import judging_noise, tune_noise
 from omnislip.gap.read_before import reading_machine
 from omnislip.gap.recordings import machine_for, unused_columns
-from omnislip.gap.search import believed_hypothesis
+from omnislip.gap.settle import believed_hypothesis
 from omnislip.gap.wiring import mend
 from omnislip.log_file import read_logs, without_copies
 from omnislip.model_file import read_model

@@ -35,6 +35,15 @@ from omnislip.gap.events import (
 from omnislip.gap.gates import check, logged_set_points, rows_far_apart, too_poor
 from omnislip.gap.inference import Data, Hypothesis, at_bound, fit, prior_penalty
 from omnislip.gap.inverse import relative_force_error
+from omnislip.gap.judge import (
+    ALPHA,
+    DELAY,
+    FRICTION_OVER_SLIP,
+    SURE_GAIN,
+    WITHIN_LAW,
+    Trial,
+    within_row,
+)
 from omnislip.gap.leftover import UNKNOWN_SHARE, Leftover, find_shapes
 from omnislip.gap.machine import CURVE, EXTENSIONS, Machine, effect_and_wheel
 from omnislip.gap.metrics import (
@@ -71,23 +80,9 @@ from omnislip.gap.recordings import (
     make_run,
     unused_columns,
 )
-from omnislip.gap.search import (
-    ALPHA,
-    CONFIDENCE,
-    DELAY,
-    FEW_TUNINGS,
-    FRICTION_OVER_SLIP,
-    SURE_GAIN,
-    WITHIN_LAW,
-    MistakenError,
-    Outcome,
-    Selected,
-    Trial,
-    first_model,
-    search,
-    settle,
-    within_row,
-)
+from omnislip.gap.search import MistakenError, Outcome, search
+from omnislip.gap.selected import CONFIDENCE, Selected
+from omnislip.gap.settle import FEW_TUNINGS, first_model, settle
 from omnislip.gap.unknown import Unknown, describe_unknown
 from omnislip.gap.where import Map, Place, describe, map_gap
 from omnislip.gap.wiring import find_wirings, mend

@@ -20,13 +20,13 @@ from omnislip.files import write_text
 from omnislip.gap.find import Findings, find_gap, to_json, write_results
 from omnislip.gap.inference import Data, Hypothesis, fit
 from omnislip.gap.inverse import low_pass, relative_force_error
+from omnislip.gap.judge import Trial
 from omnislip.gap.machine import Machine
 from omnislip.gap.metrics import channel_rmse, replay_all
 from omnislip.gap.noise import track_all
 from omnislip.gap.peers import Peer, plain_refit, sparse_terms
 from omnislip.gap.recordings import Run, body_errors, make_run
 from omnislip.gap.report import format_number, render
-from omnislip.gap.search import Trial
 from omnislip.gap.where import describe, map_gap
 from omnislip.importers.bam import (
     Record,

@@ -21,7 +21,7 @@ from omnislip.gap.machine import Machine
 from omnislip.gap.metrics import WINDOW_S, channel_rmse, replay_all
 from omnislip.gap.noise import track_all
 from omnislip.gap.recordings import Run
-from omnislip.gap.search import believed_hypothesis, settle
+from omnislip.gap.settle import believed_hypothesis, settle
 
 Array = npt.NDArray[np.float64]
 

@@ -18,10 +18,10 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from omnislip.gap import answers, find, inference, leftover, metrics, report_pictures, search
 from omnislip.gap.find import CANNOT_BE_USED, NOT_ENOUGH, Findings, to_json
+from omnislip.gap.judge import Trial
 from omnislip.gap.machine import Candidate, Machine, effect_and_wheel, name_on_wheel
 from omnislip.gap.metrics import Replays
 from omnislip.gap.recordings import ODOMETRY_CHANNELS, Run
-from omnislip.gap.search import Trial
 from omnislip.model_file import format_model
 
 Json = dict[str, Any]

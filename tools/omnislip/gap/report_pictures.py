@@ -17,8 +17,8 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, FancyArrowPatch, Polygon
 
+from omnislip.gap.judge import Trial
 from omnislip.gap.metrics import GapTable, Replays
-from omnislip.gap.search import Trial
 from omnislip.gap.unknown import Unknown
 from omnislip.gap.where import Map, Place
 from omnislip.plots import BLUE, ORANGE, new_figure

@@ -1,0 +1,124 @@
+"""One step further than the search: sizes far from none, pairs, the noise beside an effect."""
+
+import pytest
+from axis_bench import Bench, make_machine, make_runs, silent
+from omnislip.gap.ahead import Ahead
+from omnislip.gap.inference import fit
+from omnislip.gap.judge import SURE_GAIN
+from omnislip.gap.machine import Machine
+from omnislip.gap.noise import track_all
+from omnislip.gap.settle import believed_hypothesis, settle
+from omnislip.gap.truth import TruthCase
+from omnislip.gap.truth_effects import HiddenEffect
+from omnislip.model_file import NOMINAL_ROBOT, read_model
+from truth_bench import robot_runs
+
+
+@pytest.fixture(scope="module")
+def machine(tmp_path_factory):
+    return make_machine(tmp_path_factory.mktemp("axis"))
+
+
+@pytest.mark.parametrize(("fitted_n", "factor"), [(0.7, 2.0), (1.5, 1.0)])
+def test_a_size_that_was_pulled_is_looked_for_further_away(machine, fitted_n, factor):
+    """By the likelihood of the model's own filter; the keys have taken 0.5 N of 2.0 N."""
+    runs = make_runs(machine, Bench(coulomb_n=2.0), range(2))
+    data, current = settle(machine, runs, believed_hypothesis(machine))
+    ahead = Ahead(data, current, machine.candidates(), 1, 100, silent)
+    [friction] = [c for c in machine.candidates() if c.effect == "coulomb_friction"]
+    larger = ahead._larger(friction, current.hypothesis.with_effect(friction, [fitted_n]))
+    assert larger.values_of(-1) == pytest.approx([factor * fitted_n])
+
+
+@pytest.mark.parametrize("name", ["actuation_delay", "driver_lag"])
+def test_a_delay_of_some_rows_is_found_in_a_loop_that_it_sets_swinging(tmp_path, name):
+    """No derivative leads there, and none is found where a lag explains more."""
+    candidates = {c.effect: c for c in Machine(read_model(NOMINAL_ROBOT)).candidates()}
+    size = candidates[name].parameters[0].label
+    hidden = HiddenEffect(name, {size: 0.0155}).as_dict()
+    case = TruthCase(seed=118, effects=(hidden,), closed_loop=True, excitation="ordinary", runs=2)
+    robot, runs, candidates = robot_runs(case, tmp_path)
+    data, current = settle(robot, runs, believed_hypothesis(robot))
+    accepted = fit(data, current.hypothesis.with_effect(candidates["driver_lag"], [0.0155]))
+    ahead = Ahead(data, current, robot.candidates(), 1, 100, silent)
+    further = ahead.far(candidates["actuation_delay"], accepted)
+    if name == "actuation_delay":
+        quarter_row_s = 0.25 * 0.005
+        assert further.fitted.hypothesis.values_of(0) == pytest.approx(0.0155, abs=quarter_row_s)
+    else:
+        assert further is None
+
+
+@pytest.mark.parametrize("angle_rad", [0.063, 0.0])
+def test_play_is_found_where_less_play_explains_less_than_none(tmp_path, angle_rad):
+    """No derivative leads there; where there is none, none is found."""
+    hidden = (HiddenEffect("gear_backlash", {"angle_rad": angle_rad}),) if angle_rad else ()
+    effects = tuple(effect.as_dict() for effect in hidden)
+    case = TruthCase(seed=21007, effects=effects, sensors=("gyro", "pose", "supply"), runs=2)
+    robot, runs, candidates = robot_runs(case, tmp_path)
+    data, current = settle(robot, runs, believed_hypothesis(robot))
+    play = candidates["gear_backlash"]
+    ahead = Ahead(data, current, robot.candidates(), 1, 100, silent)
+    further = ahead.far(play, None)
+    if angle_rad:
+        half = ahead._likelihood(current.hypothesis.with_effect(play, [0.5 * angle_rad]), runs)
+        assert half < ahead._likelihood(current.hypothesis, runs)
+        assert further.fitted.hypothesis.values_of(0) == pytest.approx(angle_rad, rel=0.03)
+    else:
+        assert further is None
+        assert ahead.trials == []
+
+
+@pytest.mark.parametrize("length_m", [1.4e-3, 0.0])
+def test_bristles_are_found_beside_another_effect_by_noise_that_fits_both(tmp_path, length_m):
+    """Noise that fits the other alone takes what they hold for chance."""
+    cogging = {"torque_nm": 0.02, "cycles_per_rev": 2.0, "phase_rad": 0.4}
+    hidden = [HiddenEffect("cogging", cogging)]
+    if length_m:
+        hidden.append(HiddenEffect("bristle_relaxation", {"length_m": length_m}))
+    effects = tuple(effect.as_dict() for effect in hidden)
+    case = TruthCase(seed=21007, effects=effects, sensors=(), runs=2)
+    robot, runs, candidates = robot_runs(case, tmp_path)
+    data, current = settle(robot, runs, believed_hypothesis(robot))
+    ahead = Ahead(data, current, robot.candidates(), 1, 100, silent)
+    start = current.hypothesis.with_effect(candidates["cogging"], list(cogging.values()))
+    first = ahead._by_its_noise(candidates["cogging"], start)
+    further = ahead._far_beside(first, candidates["bristle_relaxation"])
+    if length_m:
+        assert further.trial.accepted
+        assert further.fitted.hypothesis.values_of(1)[0] == pytest.approx(length_m, rel=0.05)
+    else:
+        assert further is None
+
+
+@pytest.mark.parametrize("length_m", [0.9e-3, 4e-3, 0.0])
+def test_bristles_are_found_along_their_own_filter(tmp_path, length_m):
+    """That of rigid contact takes what they hold for pushes; where none are, none are found."""
+    hidden = (HiddenEffect("bristle_relaxation", {"length_m": length_m}),) if length_m else ()
+    effects = tuple(effect.as_dict() for effect in hidden)
+    robot, runs, candidates = robot_runs(TruthCase(seed=21007, effects=effects, runs=2), tmp_path)
+    data, current = settle(robot, runs, believed_hypothesis(robot))
+    ahead = Ahead(data, current, robot.candidates(), 1, 100, silent)
+    further = ahead.far(candidates["bristle_relaxation"], None)
+    if length_m:
+        assert further.fitted.hypothesis.values_of(0)[0] == pytest.approx(length_m, rel=0.03)
+    else:
+        assert further is None
+        assert ahead.trials == []
+
+
+def test_answers_within_a_row_are_no_delay_of_some_rows(tmp_path):
+    """A likelihood that takes the commands as given prefers those of the row before."""
+    case = TruthCase(seed=86, closed_loop=True, excitation="ordinary", runs=2, noise_level=3.0)
+    robot, runs, candidates = robot_runs(case, tmp_path)
+    delay = candidates["actuation_delay"]
+    data, current = settle(robot, runs, believed_hypothesis(robot))
+    delayed = current.hypothesis.with_effect(delay, [1.25 * 0.005])
+    here, before = (
+        sum(t.log_likelihood for t in track_all(robot, runs, h.flat(data.believed), data.noise))
+        for h in (current.hypothesis, delayed)
+    )
+    assert before > here + SURE_GAIN
+    ahead = Ahead(data, current, robot.candidates(), 1, 100, silent)
+    assert ahead.far(delay, None) is None
+    assert ahead.trials == []

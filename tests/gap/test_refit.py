@@ -1,0 +1,96 @@
+"""Where no derivative leads: edges, thresholds, numbers of teeth."""
+
+import numpy as np
+import pytest
+from omnislip.gap.inference import fit, linearise, weigh
+from omnislip.gap.judge import SURE_GAIN
+from omnislip.gap.refit import patch_settled, refit_each, whole_numbers
+from omnislip.gap.screen import screen
+from omnislip.gap.settle import believed_hypothesis, settle
+from omnislip.gap.truth import TruthCase
+from omnislip.gap.truth_effects import HiddenEffect
+from truth_bench import robot_runs, robot_with_magnets
+
+
+@pytest.mark.parametrize("share", [0.244, 0.4, 0.78, 0.97])
+def test_a_threshold_between_two_starts_is_found(tmp_path, share):
+    """An encoder loses counts beyond a share of the fastest speed; starts are at 0.5, 0.7, ..."""
+    lost = {"fraction": 0.03, "speed_rad_s": share * 320.0}
+    hidden = HiddenEffect("encoder_dropout", lost, 2).as_dict()
+    case = TruthCase(seed=5, effects=(hidden,), runs=3, run_duration_s=4.0)
+    robot, runs, _ = robot_runs(case, tmp_path)
+    data, current = settle(robot, runs, believed_hypothesis(robot))
+    dropout = [c for c in robot.candidates_for(runs) if c.name == "encoder_dropout (wheel 2)"]
+    [fitted] = refit_each(data, current, screen(data, current, dropout))
+    fraction, speed_rad_s = fitted.hypothesis.values_of(0)
+    deviation = np.sqrt(weigh(data, current, fitted, 0).covariance[0, 0])
+    assert speed_rad_s == pytest.approx(lost["speed_rad_s"], rel=0.003)
+    assert fraction == pytest.approx(lost["fraction"], abs=max(0.03 * fraction, 3.0 * deviation))
+    assert deviation < 0.05 * fraction  # few rows are so fast
+
+
+def test_edges_of_a_patch_that_were_drawn_to_a_wrong_place_are_found_again(tmp_path):
+    """Beside the other effects as they are; some centimetres away there is nothing to descend."""
+    floor = {"x_min_m": -0.1, "x_max_m": 0.4, "scale": 0.5}
+    hidden = HiddenEffect("slippery_patch", floor).as_dict()
+    case = TruthCase(seed=8, effects=(hidden,), excitation="rich", runs=2, run_duration_s=4.0)
+    robot, runs, candidates = robot_runs(case, tmp_path)
+    start = believed_hypothesis(robot).with_effect(
+        candidates["slippery_patch"], [floor["x_min_m"] + 0.04, 0.4, 0.52]
+    )
+    data, stuck = settle(robot, runs, start)
+    assert abs(stuck.hypothesis.values_of(0)[0] - floor["x_min_m"]) > 0.015
+    data, found = patch_settled(data, stuck)
+    edges_m = found.hypothesis.values_of(0)[:2]
+    assert edges_m == pytest.approx([floor["x_min_m"], floor["x_max_m"]], abs=0.002)
+
+
+@pytest.mark.parametrize("magnets", [9.0, 36.0])
+def test_every_number_of_magnets_is_looked_for(tmp_path, magnets):
+    """One next to it is out of step after some turns, so that no fit leads from there."""
+    robot, runs, candidates = robot_with_magnets(magnets, tmp_path)
+    data, current = settle(robot, runs, believed_hypothesis(robot))
+    [screened] = screen(data, current, [candidates["cogging"]])
+    assert screened.promise > SURE_GAIN
+    assert screened.start[1] == magnets
+
+
+@pytest.mark.parametrize("magnets", [7.0, 7.4])
+def test_magnets_are_counted_in_whole_numbers_where_the_log_allows(tmp_path, magnets):
+    """The phase, which a count off by a hundredth turns within some revolutions, comes right."""
+    robot, runs, candidates = robot_with_magnets(magnets, tmp_path)
+    start = believed_hypothesis(robot).with_effect(
+        candidates["cogging"], [0.008, magnets + 2e-3, 0.9]
+    )
+    data, fitted = settle(robot, runs, start)
+    final = whole_numbers(data, fitted)
+    counted = final.hypothesis.values_of(0)
+    if magnets == round(magnets):
+        assert counted[1] == magnets
+        assert counted[2] == pytest.approx(1.0, abs=0.02)
+        without = fit(data, final.hypothesis.without(0))
+        free, held = (weigh(data, without, one, 0).covariance for one in (fitted, final))
+        assert held[1, 1] == 0.0
+        assert 0.0 < held[2, 2] < free[2, 2]
+    else:
+        assert counted[1] == pytest.approx(magnets, abs=0.01)
+        assert counted[1] != round(counted[1])
+
+
+def test_the_derivative_by_a_number_of_cycles_is_that_at_the_place(tmp_path):
+    """The first secant turns the phase around; what it gives may be many times too small."""
+    robot, runs, candidates = robot_with_magnets(7.0, tmp_path)
+    start = believed_hypothesis(robot).with_effect(candidates["cogging"], [0.008, 7.0, 1.0])
+    data, fitted = settle(robot, runs, start)
+    number = len(fitted.hypothesis.x) - 2
+    _, [around] = linearise(data, [fitted.hypothesis])
+    _, [found] = linearise(data, [fitted.hypothesis], last=[0.1 * around])
+    size = np.linalg.norm(found[:, number])
+    ends = []
+    for sign in (1.0, -1.0):
+        x = fitted.hypothesis.x.copy()
+        x[number] += sign * 1e-2 / size * fitted.hypothesis.parameters[number].scale
+        ends.append(data.residuals(fitted.hypothesis.flat(data.believed, x)[None])[0])
+    right = (ends[0] - ends[1]) / (2e-2 / size)
+    assert np.linalg.norm(found[:, number] - right) < 0.01 * size
+    assert np.linalg.norm(around[:, number] - right) > 0.3 * size

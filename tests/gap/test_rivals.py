@@ -1,0 +1,94 @@
+"""What stands in the place of an effect where that is likelier."""
+
+import pytest
+from axis_bench import silent
+from omnislip.gap import rivals as rivals_module
+from omnislip.gap.rivals import compare_all, take_likeliest, take_one_of_curve
+from omnislip.gap.settle import believed_hypothesis, settle
+from omnislip.gap.truth import TruthCase
+from omnislip.gap.truth_effects import HiddenEffect
+from truth_bench import lag_named, robot_runs
+
+
+@pytest.mark.parametrize(
+    ("hidden", "named"),
+    [
+        ("actuation_delay", "driver_lag"),
+        ("driver_lag", "armature_inductance"),
+        ("driver_lag", "driver_lag"),
+    ],
+)
+def test_the_right_name_has_its_place_at_the_end(tmp_path, hidden, named):
+    data, fitted, rivals = lag_named(tmp_path, hidden, named)
+    data, found, compared = take_likeliest(data, fitted, rivals, 100, silent)
+    assert [effect.effect for effect in found.hypothesis.effects] == [hidden]
+    assert found.hypothesis.values_of(0) == pytest.approx([0.0015], rel=0.15)
+    assert len(compared) == 1
+    assert named == hidden or named in {
+        one.hypothesis.effects[-1].name for one in compared[0].rivals
+    }
+
+
+@pytest.mark.parametrize(("nats", "named"), [(1.0, "driver_lag"), (1e3, "actuation_delay")])
+def test_what_loses_by_the_noise_of_another_takes_its_place_if_likelier_by_its_own(
+    tmp_path, monkeypatch, nats, named
+):
+    """Every rival is near enough to be asked here; likelihoods are given."""
+    data, fitted, rivals = lag_named(tmp_path, "driver_lag", "driver_lag")
+    of = {"driver_lag": 0.0, "actuation_delay": nats, "armature_inductance": -1.0}
+
+    def given(_data, one):
+        return of[one.hypothesis.effects[-1].effect]
+
+    monkeypatch.setattr(rivals_module, "NEARLY", 1.0)
+    monkeypatch.setattr(rivals_module, "log_posterior", given)
+    before = compare_all(data, fitted, rivals, silent)[0]
+    rival_names = [one.hypothesis.effects[-1].effect for one in before.rivals]
+    lost = dict(zip(rival_names, before.lost(fitted), strict=True))
+    assert lost["actuation_delay"] > 0
+    _, found, _ = take_likeliest(data, fitted, rivals, 100, silent)
+    assert [effect.effect for effect in found.hypothesis.effects] == [named]
+
+
+@pytest.mark.parametrize("both", [False, True])
+def test_two_that_change_the_curve_stand_for_one_beside_another_curve(tmp_path, both):
+    """Unless both are there."""
+    curve, hidden = (
+        ("atan", ("low_grip", "slip_stiffness_error"))
+        if both
+        else ("tanh", ("slip_stiffness_error",))
+    )
+    case = TruthCase(
+        seed=508,
+        effects=tuple(HiddenEffect(name, {"scale": 1.45}).as_dict() for name in hidden),
+        friction_curve=curve,
+        excitation="rich",
+        runs=2,
+        run_duration_s=3.0,
+    )
+    robot, runs, candidates = robot_runs(case, tmp_path)
+    start = believed_hypothesis(robot)
+    start = start.with_effect(candidates["low_grip"], [1.3])
+    if both:
+        start = start.with_effect(candidates["slip_stiffness_error"], [1.3])
+    else:
+        start = start.with_effect(candidates["grip_falloff"], [0.3, 0.1])
+    _, found = take_one_of_curve(*settle(robot, runs, start), {}, silent)
+    expected = set(hidden) if both else {"contact_shape", *hidden}
+    assert {effect.effect for effect in found.hypothesis.effects} == expected
+
+
+def test_a_grip_that_falls_at_once_beside_a_curve_may_be_a_low_grip_beside_another(tmp_path):
+    """And a low grip that is right stays."""
+    low = HiddenEffect("low_grip", {"scale": 0.75}).as_dict()
+    case = TruthCase(seed=509, effects=(low,), friction_curve="brush", excitation="rich", runs=2)
+    robot, runs, candidates = robot_runs(case, tmp_path)
+    base = believed_hypothesis(robot)
+    for name, sizes in (("grip_falloff", [0.23, 0.05]), ("low_grip", [0.75])):
+        start = base.with_effect(candidates[name], sizes)
+        start = start.with_effect(candidates["contact_shape"], [1.0])
+        _, found = take_one_of_curve(*settle(robot, runs, start), {}, silent)
+        assert {effect.effect for effect in found.hypothesis.effects} == {
+            "contact_shape",
+            "low_grip",
+        }

@@ -1,0 +1,319 @@
+"""One step further than the search: by the noise an effect leaves, in pairs, far from none."""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from omnislip.gap.inference import Data, Evidence, Fit, Hypothesis, check_unseen, fit, weigh
+from omnislip.gap.judge import (
+    AHEAD_GAIN,
+    DELAY,
+    LEAST_PROMISE,
+    MOST_EFFECTS,
+    SURE_GAIN,
+    WITHIN_LAW,
+    Trial,
+    both_pass,
+    judge_candidate,
+)
+from omnislip.gap.machine import Candidate
+from omnislip.gap.noise import RunawayError, some_runs, track_all, tuned_likelihood
+from omnislip.gap.recordings import Run
+from omnislip.gap.refit import patch_again, refit_quickly
+from omnislip.gap.screen import Screened, neutral_sizes, screen
+from omnislip.gap.settle import FEW_TUNINGS, settle
+from omnislip.gap.side_by_side import side_by_side
+
+Array = npt.NDArray[np.float64]
+Progress = Callable[[str], None]
+
+BEAM, BEAM_REFITS = 3, 6
+PULLED_BY = (1.5, 2.0, 3.0)
+"""How much larger an effect may be than noise that covers it lets it seem."""
+FAR_DELAYS_ROWS = (1.5, 2.0, 3.0, 4.0, 6.0)
+FAR_SIZES = {"gear_backlash": (0.4, 1.35, 13), "bristle_relaxation": (0.2, 1.6, 9)}
+"""Delays, in rows, and sizes where no derivative leads: the first in its scale, its factor to the
+next and how many (plays of 4 to 150 mrad of a robot, bristles of 0.2 to 9 mm). Of 63 mrad a play of
+40 explains less than none."""
+FAR_STEPS = (0.5, 0.25)
+"""Steps from the best of them, in rows or steps from size to size."""
+
+
+@dataclass(frozen=True)
+class Further:
+    """A model with one or two more effects, and that without them, by the noise that fits the
+    first."""
+
+    data: Data
+    without: Fit
+    fitted: Fit
+    trial: Trial
+
+    def gain(self) -> float:
+        """Fall of Q: by another noise Q itself is another."""
+        return self.without.objective - self.fitted.objective
+
+
+@dataclass(frozen=True)
+class _Likely:
+    """Log-likelihood of a model by its own filter."""
+
+    likelihood: float
+    model: Hypothesis
+
+
+class Ahead:
+    """One step further, where none was taken or what promises nothing at first explains more.
+
+    Each of the best is judged again by the noise that is left beside it: noise that was tuned
+    without an effect covers it and pulls its size, so that a fit gains little of what was promised.
+    And two defects may each be refused without the other, so a second one is tried beside it.
+    """
+
+    def __init__(
+        self,
+        data: Data,
+        current: Fit,
+        candidates: Sequence[Candidate],
+        step: int,
+        tried: int,
+        progress: Progress,
+    ) -> None:
+        self._data, self._current = data, current
+        self._candidates, self._step, self._tried = candidates, step, tried * BEAM
+        self._progress = progress
+        self.trials: list[Trial] = []
+
+    def best(
+        self, refused: Sequence[tuple[Trial, Fit]], screened: Sequence[Screened]
+    ) -> Further | None:
+        """Return the best model with one of `refused`, or with one of them and a second effect.
+
+        What promised or gained much, but from few blocks, is judged alone: among pairs of such
+        chance has too much choice.
+        Pairs with a weaker first effect are tried only where none with a stronger one passes.
+        """
+        refused = [pair for pair in refused if pair[0].reason != WITHIN_LAW]
+        clear = [pair for pair in refused if pair[0].evidence.beyond_chance > AHEAD_GAIN]
+        clear = sorted(clear, key=lambda pair: pair[1].objective)[:BEAM]
+        rest = {pair[0].candidate.name: pair for pair in refused}
+        for trial, _ in clear:
+            rest.pop(trial.candidate.name, None)
+        promised = {s.candidate.name: s.promise for s in screened}
+        hopes = {name: max(promised.get(name, 0.0), rest[name][0].evidence.gain) for name in rest}
+        covered = [rest[name] for name in sorted(hopes, key=lambda name: -hopes[name])[:BEAM]]
+        covered = [pair for pair in covered if hopes[pair[0].candidate.name] > SURE_GAIN]
+        judged = side_by_side(
+            lambda pair: self._by_its_noise(
+                pair[0].candidate,
+                self._larger(pair[0].candidate, pair[1].hypothesis),
+                pair[1].jacobian,
+            ),
+            clear + covered,
+        )
+        followed = [one for one in judged if one is not None]
+        self.trials += [one.trial for one in followed]
+        passed = [one for one in followed if one.trial.accepted]
+        if len(self._current.hypothesis.effects) + 2 <= MOST_EFFECTS:
+            for first in judged[: len(clear)]:
+                passed = passed or (self._pairs(first) if first else [])
+        best = max(passed, key=Further.gain, default=None)
+        self.trials = [
+            replace(trial, accepted=best is not None and trial is best.trial)
+            for trial in self.trials
+        ]
+        return best
+
+    def far(self, candidate: Candidate, accepted: Fit | None) -> Further | None:
+        """Return the model with an effect far from none, if that explains more than anything.
+
+        The predictor of a model without a delay loses the robot by one with it, or takes for chance
+        what play or bristles do: each size has to be judged along its own filter. In a closed loop
+        a row's mean command holds the answer to what happened within it, so a likelihood that takes
+        commands as given prefers those of the row before (in one log without a delay: 3,500 more at
+        1.25 rows): what ends nearer than the first of these sizes is none of them.
+        """
+        current, runs = self._current.hypothesis, self._data.runs
+        if candidate.effect == DELAY:
+            row_s = max(run.row_s for run in runs)
+            sizes, apart, apart_share = row_s * np.array(FAR_DELAYS_ROWS), row_s, 0.0
+            sizes = sizes[sizes <= candidate.parameters[0].high]
+        else:
+            sizes = _far_sizes(candidate)
+            apart, apart_share = 0.0, FAR_SIZES[candidate.effect][1] - 1.0
+        shapes = [list(start.values()) for start in candidate.starts]
+
+        def likeliest(values: Iterable[Sequence[float]], runs: Sequence[Run]) -> _Likely:
+            """Return the likeliest model with the candidate of some values."""
+            models = [current.with_effect(candidate, own) for own in values]
+            found = side_by_side(lambda model: self._likelihood(model, runs), models)
+            none = _Likely(-np.inf, current)
+            return max(map(_Likely, found, models), key=lambda one: one.likelihood, default=none)
+
+        few = some_runs(runs)  # enough to see whether any is worth a look
+        best = likeliest([[size, *shape] for size in sizes for shape in shapes], few)
+        if best.likelihood <= self._likelihood(current, few):
+            return None
+        best = likeliest([best.model.values_of(-1)], runs)
+        least = self._likelihood(accepted.hypothesis if accepted else current, runs)
+        if best.likelihood < least + SURE_GAIN / 2:
+            return None
+        for share in FAR_STEPS:
+            size, *shape = best.model.values_of(-1)
+            step = share * (apart + apart_share * size)
+            beside = likeliest([[size - step, *shape], [size + step, *shape]], runs)
+            best = max(best, beside, key=lambda one: one.likelihood)
+        if best.model.values_of(-1)[0] < sizes[0]:
+            return None
+        found = self._by_its_noise(candidate, best.model)
+        if found is None:
+            return None
+        self.trials.append(found.trial)
+        size = found.fitted.hypothesis.values_of(len(current.effects))[0]
+        return found if found.trial.accepted and size >= sizes[0] else None
+
+    def _likelihood(self, hypothesis: Hypothesis, runs: Sequence[Run]) -> float:
+        """Logarithm of that of a model's own filter, by the noise that is known."""
+        values = hypothesis.flat(self._data.believed)
+        try:
+            tracks = track_all(self._data.machine, runs, values, self._data.noise)
+        except RunawayError:
+            return -np.inf
+        return float(np.nan_to_num(sum(t.log_likelihood for t in tracks), nan=-np.inf))
+
+    def _larger(self, candidate: Candidate, start: Hypothesis) -> Hypothesis:
+        """Return a model whose last effect was fitted with it of the likeliest of some sizes.
+
+        From a size that was pulled settling creeps: play of 5 mrad for 13 went to 8 in six rounds.
+        """
+        sizes = start.values_of(-1)
+        absent = neutral_sizes(self._data, self._current.hypothesis, candidate)
+        amplitudes = [i for i in candidate.amplitudes if np.isfinite(absent[i])]
+        if not amplitudes:
+            return start
+        low, high = ([getattr(p, end) for p in candidate.parameters] for end in ("low", "high"))
+        offered = [start]
+        for factor in PULLED_BY:
+            larger = sizes.copy()
+            larger[amplitudes] += (factor - 1.0) * (sizes - absent)[amplitudes]
+            offered.append(
+                self._current.hypothesis.with_effect(candidate, np.clip(larger, low, high))
+            )
+        return max(offered, key=lambda one: self._likelihood(one, self._data.runs))
+
+    def _by_its_noise(
+        self, candidate: Candidate, start: Hypothesis, last: Array | None = None
+    ) -> Further | None:
+        """Judge a candidate by the noise that fits it; None where its own filter loses the robot.
+
+        What pulls as hard as a motor, tooth by tooth, may gain along the filter of another model.
+        `last`: as `settle` has it.
+        """
+        self._progress(f"step {self._step}: looking ahead from {candidate.name}")
+        machine, noise = self._data.machine, self._data.noise
+        try:
+            data, first = settle(machine, self._data.runs, start, noise, FEW_TUNINGS, last)
+        except RunawayError:
+            return None
+        without = fit(data, self._current.hypothesis, last=self._current.jacobian)
+        evidence = weigh(data, without, first, len(without.hypothesis.effects))
+        [check] = check_unseen(data, without, [first])
+        trial = judge_candidate(
+            data,
+            without,
+            first,
+            candidate,
+            evidence,
+            check,
+            self._step,
+            self._tried,
+        )
+        trial = replace(trial, reason=f"by the noise that is left beside it: {trial.reason}")
+        return Further(data, without, first, trial)
+
+    def _pairs(self, first: Further) -> list[Further]:
+        """Return the models with this effect and a second one that pass.
+
+        The second is judged only when both are fitted: a patch in the floor, say, lies somewhere
+        else beside the right friction curve.
+        """
+        data, name = first.data, first.trial.candidate.name
+        others = [c for c in self._candidates if c.name != name]
+        worth = [
+            s for s in screen(data, first.fitted, others)[:BEAM_REFITS] if s.promise > LEAST_PROMISE
+        ]
+        self._progress(f"step {self._step}: trying others beside {name}")
+        index = len(first.fitted.hypothesis.effects)
+        found = [
+            (fitted, weigh(data, first.fitted, fitted, index))
+            for fitted in refit_quickly(data, first.fitted, worth)
+        ]
+        found.sort(key=lambda one: -one[1].beyond_chance)
+
+        def judge(one: tuple[Fit, Evidence]) -> Further:
+            quick, evidence = one
+            both = patch_again(data, fit(data, quick.hypothesis, last=quick.jacobian))
+            return self._pair(data, first, first.without, both, evidence)
+
+        judged = side_by_side(judge, found[:BEAM])
+        far = [self._far_beside(first, c) for c in others if c.effect in FAR_SIZES]
+        judged += [one for one in far if one is not None]
+        self.trials += [one.trial for one in judged]
+        return [one for one in judged if one.trial.accepted]
+
+    def _far_beside(self, first: Further, candidate: Candidate) -> Further | None:
+        """Return the model with an effect far from none beside the first, if that is likelier.
+
+        Each size by noise that fits it: noise that fits the first alone holds what bristles do, too
+        (beside a cogging torque it made them 5,000 to 11,000 less likely than none; by its own they
+        are 23,000 likelier).
+        """
+        data, before = first.data, first.fitted.hypothesis
+        shape = list(candidate.starts[0].values())
+        sizes = _far_sizes(candidate)[1::3]
+        models = [before, *(before.with_effect(candidate, [size, *shape]) for size in sizes)]
+
+        def likelihood(model: Hypothesis) -> float:
+            try:
+                values = model.flat(data.believed)
+                return tuned_likelihood(data.machine, data.runs, values, data.noise)
+            except RunawayError:
+                return -np.inf
+
+        least, *found = side_by_side(likelihood, models)
+        if max(found) < least + SURE_GAIN / 2:
+            return None
+        name, start = first.trial.candidate.name, models[1 + int(np.argmax(found))]
+        self._progress(f"step {self._step}: looking ahead from {name} and {candidate.name}")
+        try:
+            data, both = settle(data.machine, data.runs, start, data.noise, FEW_TUNINGS)
+        except RunawayError:
+            return None
+        without = fit(data, self._current.hypothesis, last=self._current.jacobian)
+        index = len(before.effects)
+        evidence = weigh(data, both.refitted_without(data, index), both, index)
+        return self._pair(data, first, without, both, evidence)
+
+    def _pair(
+        self, data: Data, first: Further, without: Fit, both: Fit, evidence: Evidence
+    ) -> Further:
+        """Judge a model with the first effect and a second one of this evidence beside it."""
+        tried, name = self._tried * BEAM, first.trial.candidate.name
+        [check] = check_unseen(data, without, [both])
+        passes = both_pass(data, without, both, check, tried)
+        reason = f"{name} and this {'pass' if passes else 'do not pass'} together"
+        chance, checked = min(1.0, evidence.p_value * tried), bool(check.voters.any())
+        second, values = both.hypothesis.effects[-1], both.hypothesis.values_of(-1)
+        trial = Trial(
+            self._step, second, values, evidence, chance, check.gain, checked, reason, passes
+        )
+        return Further(data, without, both, trial)
+
+
+def _far_sizes(candidate: Candidate) -> Array:
+    """Return sizes (sizes,) of an effect to which no derivative leads from none."""
+    first, factor, count = FAR_SIZES[candidate.effect]
+    sizes = candidate.parameters[0].scale * first * factor ** np.arange(count)
+    return sizes[sizes <= candidate.parameters[0].high]

@@ -1,0 +1,256 @@
+"""Whether a candidate is taken, or stays: the tests of chance, of other runs, and of shapes."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import chi2
+
+from omnislip.gap.inference import (
+    Check,
+    Data,
+    Evidence,
+    Fit,
+    fitted_without_each_unit,
+    left_by_shapes,
+    most_along,
+    weigh,
+)
+from omnislip.gap.machine import CURVE, LESS_GRIP, Candidate
+from omnislip.gap.metrics import improvement, replay_all
+from omnislip.gap.noise import RunawayError
+from omnislip.gap.screen import neutral_sizes
+from omnislip.gap.side_by_side import side_by_side
+
+Array = npt.NDArray[np.float64]
+
+ALPHA = 0.01
+SHAPE_SHARE = 1e-3
+"""Square of how far a plant may be off an effect's shape: 3 % of what the effect does. And off the
+law of its friction over slip: of seven families, the keys of another one fitted to them, 0.4 to
+2.1 % was left to an effect that changes it."""
+MOST_EFFECTS = 4
+LEAST_PROMISE = 8.0
+"""Promised gain below which no refit could bring a candidate past the threshold of chance."""
+EQUAL = 1.0
+"""Gains that differ by less are the same."""
+SHORTEST_LAG_ROWS = 0.1
+SURE_GAIN = 200.0
+"""Gain beyond chance that no chance gives: something is there, though perhaps not alone or not
+under this name."""
+REPLAYS_ALIKE = 0.1
+"""Mean square in noise floors of what is between two replays below which they judge no effect."""
+AHEAD_GAIN = 50.0
+"""Gain beyond chance, twice what chance reaches over everything tried, from which a refused effect
+is worth looking one step ahead, and none is needless: another one that is missing blurs it."""
+CURVES = ("low_grip", "slip_stiffness_error", "grip_falloff")
+"""What changes the friction over slip: where its curve is not the believed one, two of these can
+stand for one of them beside another curve."""
+FRICTION_OVER_SLIP = (CURVE, *CURVES)
+WITHIN_LAW = "no more than friction is off its law on any floor"
+DELAY = "actuation_delay"
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A candidate as it was tried in one step, and why it was taken or not.
+
+    `chance` bounds the probability that anything of all that is tried gains as much by chance.
+    """
+
+    step: int
+    candidate: Candidate
+    values: Array
+    evidence: Evidence
+    chance: float
+    validation_gain: float
+    checked: bool
+    """Whether runs could judge it by what fits the others."""
+    reason: str
+    accepted: bool
+
+
+def judge_candidate(
+    data: Data,
+    without: Fit,
+    fitted: Fit,
+    candidate: Candidate,
+    evidence: Evidence,
+    check: Check,
+    step: int,
+    tried: int,
+    replays: bool = True,
+) -> Trial:
+    """Judge the last effect of a model against the model `without` it; by `replays` or not."""
+    index = len(without.hypothesis.effects)
+    values = fitted.hypothesis.values_of(index)
+    absent = neutral_sizes(data, without.hypothesis, candidate)
+    chance = min(1.0, evidence.p_value * tried)
+    reason, passed = _verdict(data, evidence, chance, check)
+    if passed and _left_by_shapes(data, without, fitted, index, evidence):
+        off = 100 * SHAPE_SHARE**0.5
+        reason = f"real perhaps, but effects found would leave as much if {off:.0f} % off in shape"
+        passed = False
+    if passed and within_law(data, without, fitted, index):
+        reason, passed = WITHIN_LAW, False
+    if passed and not differs_from_none(candidate, values - absent, evidence):
+        reason, passed = "its size cannot be told from none beside the other parameters", False
+    sure = evidence.beyond_chance > SURE_GAIN
+    if passed and replays and not _replays_better(data, without, fitted, check, sure):
+        reason, passed = "helps the predictor but not replays of runs that were not fitted", False
+    if passed and within_row(data, candidate, values):
+        reason, passed = "shorter than the log can time: a tenth of a row", False
+    return Trial(
+        step, candidate, values, evidence, chance, check.gain, check.voters.any(), reason, passed
+    )
+
+
+def both_pass(data: Data, without: Fit, both: Fit, check: Check, tried: int) -> bool:
+    """Whether two effects together help runs that were not fitted, and none of them is chance."""
+    if not check.helps:
+        return False
+    count, sure = len(without.hypothesis.effects), True
+    for index in (count, count + 1):
+        effect, sizes = both.hypothesis.effects[index], both.hypothesis.values_of(index)
+        rest = both.refitted_without(data, index)
+        evidence = weigh(data, rest, both, index)
+        if evidence.p_value * tried >= ALPHA or evidence.beyond_chance < data.feigned_gain:
+            return False
+        if _left_by_shapes(data, rest, both, index, evidence):
+            return False
+        if within_law(data, rest, both, index):
+            return False
+        away = sizes - neutral_sizes(data, rest.hypothesis, effect)
+        if not differs_from_none(effect, away, evidence) or within_row(data, effect, sizes):
+            return False
+        sure = sure and evidence.beyond_chance > SURE_GAIN
+    return _replays_better(data, without, both, check, sure)
+
+
+def no_more_than_chance(gain: float, inflation: float, parameters: int) -> bool:
+    """Whether so many parameters that explain nothing gain as much one time in a thousand."""
+    return gain / inflation < chi2.isf(1e-3, parameters)
+
+
+def _replays_better(data: Data, without: Fit, with_effect: Fit, check: Check, sure: bool) -> bool:
+    """Whether free replays of runs come nearer to the logs, by sizes fitted without their units.
+
+    Of runs about which the others tell enough (`check`).
+
+    What helps the predictor only, row by row, describes chance and not the robot. But what comes
+    and goes with the turns of a shaft hardly moves a replay: there a `sure` gain decides.
+    """
+    sets = [fitted_without_each_unit(data, one) for one in (without, with_effect)]
+    replays = []
+    for unit in np.flatnonzero(check.judges):
+        runs = [data.runs[k] for k in np.flatnonzero(data.units == unit)]
+        try:
+            replays += replay_all(data.machine, runs, data.noise, [one[unit] for one in sets])
+        except RunawayError:
+            return False
+    if any(np.any(np.isfinite(r.errors[0]) & ~np.isfinite(r.errors[1])) for r in replays):
+        return False  # it runs away
+    fall, between = improvement(replays)
+    return fall > 0 or (sure and between < REPLAYS_ALIKE)
+
+
+def _verdict(data: Data, evidence: Evidence, chance: float, check: Check) -> tuple[str, bool]:
+    if chance >= ALPHA:
+        return f"could be chance (p = {chance:.2g} over everything tried)", False
+    if evidence.beyond_chance < data.feigned_gain:
+        return "a controller's answers feign as much", False
+    voters = int(np.sum(check.voters))
+    if not voters:
+        return "is seen in no run that the others could check", False
+    if check.gain <= 0:
+        return "makes runs worse that were not fitted", False
+    if not check.helps:
+        return f"helps only {check.helped} of {voters} runs that were not fitted", False
+    return "explains more than any other effect", True
+
+
+def left_by_others(data: Data, without: Fit, fitted: Fit, index: int) -> float:
+    """Gain of effect `index` that the others would leave if off by all that they do."""
+    own = fitted.hypothesis.effects[index]
+    change = without.residual - fitted.residual
+    return left_by_shapes(
+        data, fitted, change, without.residual, lambda effect: 0.0 if effect is own else 1.0
+    )
+
+
+def _left_by_shapes(data: Data, without: Fit, fitted: Fit, index: int, evidence: Evidence) -> bool:
+    """Whether the others would leave as much as effect `index` gains if a bit off in shape.
+
+    Of a name's gain only what is beyond chance counts, of the friction curve's all: named in vain
+    it does no harm, but what it leaves beside a strong effect passes for an unknown one.
+    """
+    curve = fitted.hypothesis.effects[index].effect == CURVE
+    gain = evidence.gain if curve else evidence.beyond_chance
+    return gain < SHAPE_SHARE * left_by_others(data, without, fitted, index)
+
+
+def within_law(data: Data, without: Fit, fitted: Fit, index: int) -> bool:
+    """Whether effect `index` changes the friction over slip by no more than any law is off.
+
+    As `left_by_shapes` has it, for what friction does as a whole: all of it, for it is proportional
+    to the grip.
+    """
+    if fitted.hypothesis.effects[index].effect not in CURVES:
+        return False
+    return without.objective - fitted.objective <= left_by_law(data, without, fitted)
+
+
+def left_by_law(data: Data, without: Fit, fitted: Fit) -> float:
+    """Return the gain of `fitted` that friction over slip leaves if off its law as on any floor."""
+    less = data.machine.with_less_grip(fitted.hypothesis.flat(data.believed))
+    [slipping] = data.residuals(less[None])
+    friction = (slipping - fitted.residual)[None] / LESS_GRIP
+    [most] = most_along(friction, without.residual - fitted.residual)
+    return SHAPE_SHARE * float(most)
+
+
+def within_row(data: Data, candidate: Candidate, sizes: Array) -> bool:
+    """Whether a lag is so short that it may be the averaging of the command over a row."""
+    resistance = float(data.machine.model.values.get("motor.resistance_ohm", 1.0))
+    seconds = {
+        DELAY: sizes[0],
+        "driver_lag": sizes[0],
+        "armature_inductance": sizes[0] / resistance,
+    }
+    row_s = min(run.row_s for run in data.runs)
+    return seconds.get(candidate.effect, np.inf) < SHORTEST_LAG_ROWS * row_s
+
+
+def differs_from_none(candidate: Candidate, sizes: Array, evidence: Evidence) -> bool:
+    """Whether any size is two standard deviations from none, all other parameters left free."""
+    deviations = np.sqrt(np.maximum(np.diag(evidence.covariance), 0.0))
+    return any(
+        not np.isfinite(sizes[i]) or abs(sizes[i]) > 2.0 * deviations[i]
+        for i in candidate.amplitudes
+    )
+
+
+def drop_needless(data: Data, fitted: Fit, tried: int) -> Fit:
+    """Drop effects, weakest first, that could be chance beside the others or what those leave.
+
+    Not those whose inflation alone, of a few blocks, makes the chance: another effect that is
+    missing does that.
+    """
+    while fitted.hypothesis.effects:
+        without = side_by_side(
+            lambda index, whole=fitted: whole.refitted_without(data, index),
+            range(len(fitted.hypothesis.effects)),
+        )
+        judged = [weigh(data, w, fitted, index) for index, w in enumerate(without)]
+        needless = [
+            index
+            for index, one in enumerate(judged)
+            if (one.p_value * tried >= ALPHA and one.beyond_chance < AHEAD_GAIN)
+            or one.beyond_chance < data.feigned_gain
+            or _left_by_shapes(data, without[index], fitted, index, one)
+            or within_law(data, without[index], fitted, index)
+        ]
+        if not needless:
+            break
+        fitted = without[min(needless, key=lambda index: judged[index].gain)]
+    return fitted

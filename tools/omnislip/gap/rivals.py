@@ -1,0 +1,255 @@
+"""Effects of a model beside what could stand in their place, and which of them is likelier."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from omnislip.gap.inference import Data, Evidence, Fit, check_unseen, fit, weigh
+from omnislip.gap.judge import (
+    CURVES,
+    FRICTION_OVER_SLIP,
+    drop_needless,
+    no_more_than_chance,
+    within_law,
+    within_row,
+)
+from omnislip.gap.machine import CURVE, Candidate
+from omnislip.gap.noise import RunawayError
+from omnislip.gap.refit import extend_effects, patch_settled, refit_each, whole_numbers
+from omnislip.gap.screen import screen
+from omnislip.gap.settle import likelihood_judges, log_posterior, settle
+from omnislip.gap.side_by_side import side_by_side
+
+Progress = Callable[[str], None]
+
+RIVALS = 4
+RIVAL_MARGIN, NEARLY = 10.0, 0.01
+"""Gain beyond chance within which rivals cannot be told apart; and share of an effect's gain within
+which the noise that was tuned beside it may have decided against a rival."""
+NEARLY_AT_FIRST = 0.1
+"""The second where neither has been in the model: its noise fits neither."""
+
+
+def swap_effects(
+    data: Data, fitted: Fit, neighbours: dict[str, list[Candidate]], progress: Progress
+) -> tuple[Fit, dict[int, "Compared"]]:
+    """Put another effect in the place of one where that explains clearly more, or as much simpler.
+
+    The first effect was chosen while the others were still missing. Return also how the effects of
+    the model that is left compare, by their numbers; the newest has been compared by its choice.
+    """
+    index, compared = 0, dict[int, Compared]()
+    while index < len(fitted.hypothesis.effects) - 1:
+        effect = fitted.hypothesis.effects[index]
+        if index not in compared:
+            others = range(index, len(fitted.hypothesis.effects) - 1)
+            compared |= _compare(data, fitted, others, neighbours, progress)
+        own = compared[index]
+        better = [one for one in own.rivals if _takes_its_place(data, effect, own, one)]
+        if better:
+            best = min(better, key=lambda one: one.objective)
+            _may_stand_for(neighbours, best.hypothesis.effects[-1].name, effect)
+            fitted, compared = fit(data, best.hypothesis, last=best.jacobian), {}
+        else:
+            index += 1
+    return fitted, compared
+
+
+def take_one_of_curve(
+    data: Data, fitted: Fit, neighbours: dict[str, list[Candidate]], progress: Progress
+) -> tuple[Data, Fit]:
+    """Put another friction curve and one effect in the place of all that change it, where likelier.
+
+    No single exchange leads there: the curve was refined beside the others. Each model is judged by
+    its own noise.
+    """
+    machine, several = data.machine, curves_in(fitted)
+    if len(several) < 2:
+        return data, fitted
+    others = [name for name in CURVES if {name, CURVE} != several]
+    progress(f"comparing {' and '.join(sorted(several))} with {' or '.join(others)} beside a curve")
+    known = {candidate.name: candidate for candidate in machine.candidates()}
+    bare = fitted.hypothesis
+    for index, effect in reversed(list(enumerate(bare.effects))):
+        if effect.effect in several:
+            bare = bare.without(index)
+    curved = fit(data, bare)
+    allowed = fitted.objective + NEARLY_AT_FIRST * (curved.objective - fitted.objective)
+    [start] = screen(data, curved, [known[CURVE]])
+    [curved] = refit_each(data, curved, [start])
+    starts = screen(data, curved, [known[name] for name in others])
+    best, likeliest, name = (data, fitted), log_posterior(data, fitted), ""
+    for one in side_by_side(lambda start: refit_each(data, curved, [start])[0], starts):
+        if one.objective > allowed or within_law(data, curved, one, -1):
+            continue
+        try:
+            other = _with_own_noise(data, one)
+        except RunawayError:
+            continue
+        likelihood = log_posterior(*other)
+        if likelihood > likeliest:
+            best, likeliest, name = other, likelihood, one.hypothesis.effects[-1].name
+    if not name:
+        return best
+    own = _with_own_noise(data, fitted)
+    if likeliest <= log_posterior(*own):
+        return own
+    neighbours[name] = [known[other] for other in CURVES]
+    return best
+
+
+def curves_in(fitted: Fit) -> set[str]:
+    """What changes the friction over slip in this model, the curve itself among it."""
+    return {effect.effect for effect in fitted.hypothesis.effects} & {*FRICTION_OVER_SLIP}
+
+
+def _takes_its_place(data: Data, effect: Candidate, own: "Compared", rival: Fit) -> bool:
+    """Whether a rival explains clearly more than an effect, or loses only what chance gives."""
+    without, judged = own.without, own.evidence
+    evidence = weigh(data, without, rival, len(without.hypothesis.effects))
+    candidate, sizes = rival.hypothesis.effects[-1], rival.hypothesis.values_of(-1)
+    lost = judged.gain - evidence.gain
+    spared = len(effect.parameters) - len(candidate.parameters)
+    as_good = spared > 0 and no_more_than_chance(lost, judged.inflation, spared)
+    if not as_good and -lost <= RIVAL_MARGIN * evidence.inflation:
+        return False
+    if within_law(data, without, rival, -1):
+        return False
+    [check] = check_unseen(data, without, [rival])
+    return check.helps and not within_row(data, candidate, sizes)
+
+
+def _rivals_of(
+    fitted: Fit, effect: Candidate, neighbours: dict[str, list[Candidate]]
+) -> list[Candidate]:
+    """What promised most when this effect was chosen, and is not in the model."""
+    taken = {one.name for one in fitted.hypothesis.effects}
+    return [
+        c
+        for c in neighbours.get(effect.name, [])
+        if c.name not in taken and len(c.parameters) <= len(effect.parameters)
+    ]
+
+
+@dataclass(frozen=True)
+class Compared:
+    """An effect of a fitted model beside what could stand in its place, refitted there."""
+
+    without: Fit
+    evidence: Evidence
+    rivals: list[Fit]
+
+    def lost(self, final: Fit) -> list[float]:
+        """Return the gain beyond chance that is lost with each rival in the place of the effect."""
+        return [(one.objective - final.objective) / self.evidence.inflation for one in self.rivals]
+
+
+def _compare(
+    data: Data,
+    fitted: Fit,
+    places: Sequence[int],
+    neighbours: dict[str, list[Candidate]],
+    progress: Progress,
+) -> dict[int, Compared]:
+    """Compare effects of the model, by their numbers, with their nearest rivals."""
+    for index in places:
+        progress(f"comparing {fitted.hypothesis.effects[index].name} with its rivals")
+    found = side_by_side(lambda index: _compared(data, fitted, index, neighbours), places)
+    return dict(zip(places, found, strict=True))
+
+
+def compare_all(
+    data: Data,
+    fitted: Fit,
+    neighbours: dict[str, list[Candidate]],
+    progress: Progress,
+    known: dict[int, Compared] | None = None,
+) -> list[Compared]:
+    """Compare every effect of the model with its nearest rivals, beside what is known of that."""
+    places, known = range(len(fitted.hypothesis.effects)), known or {}
+    others = [index for index in places if index not in known]
+    compared = known | _compare(data, fitted, others, neighbours, progress)
+    return [compared[index] for index in places]
+
+
+def _compared(
+    data: Data, fitted: Fit, index: int, neighbours: dict[str, list[Candidate]]
+) -> Compared:
+    without = fitted.refitted_without(data, index)
+    evidence = weigh(data, without, fitted, index)
+    rivals = _rivals_of(fitted, fitted.hypothesis.effects[index], neighbours)
+    nearest = screen(data, without, rivals)[:RIVALS] if rivals else []
+    return Compared(without, evidence, refit_each(data, without, nearest, evidence.gain))
+
+
+def take_likeliest(
+    data: Data,
+    final: Fit,
+    neighbours: dict[str, list[Candidate]],
+    tried: int,
+    progress: Progress,
+    known: dict[int, Compared] | None = None,
+) -> tuple[Data, Fit, list[Compared]]:
+    """Put another effect in the place of one where that is likelier, each model by its own noise.
+
+    Noise that was tuned beside a wrong name takes a part of what that leaves for chance: a delay of
+    1.4 ms lost 48 to a lag by noise that fits the lag, and is likelier by exp(143) by its own. What
+    is better even by the noise of the other needs no margin. No likelihood judges where a
+    controller answers within rows (answers.py).
+    """
+    settled = set[str]()
+    compared = compare_all(data, final, neighbours, progress, known)
+    while likelihood_judges(data):
+        near = [
+            (index, rival, lost)
+            for index, one in enumerate(compared)
+            for rival, lost in zip(one.rivals, one.lost(final), strict=True)
+            if lost < max(RIVAL_MARGIN, NEARLY * one.evidence.beyond_chance)
+            and rival.hypothesis.effects[-1].name not in settled
+            and not within_row(data, rival.hypothesis.effects[-1], rival.hypothesis.values_of(-1))
+        ]
+        if not near:
+            break
+        own_likelihood = log_posterior(*_with_own_noise(data, final))
+        likelier = []
+        for index, rival, lost in near:
+            effect, name = final.hypothesis.effects[index], rival.hypothesis.effects[-1].name
+            progress(f"comparing {effect.name} and {name}, each by its own noise")
+            try:
+                own = _with_own_noise(data, rival)
+            except RunawayError:
+                continue
+            likelihood = log_posterior(*own)
+            margin = 0.0 if lost < -RIVAL_MARGIN else 0.5 * RIVAL_MARGIN
+            enough = own_likelihood + margin * compared[index].evidence.inflation
+            if likelihood <= enough or within_law(data, compared[index].without, rival, -1):
+                continue
+            if _helps_unseen(*own, name):
+                likelier.append((likelihood, *own, effect, name))
+        if not likelier:
+            break
+        _, data, final, effect, name = max(likelier, key=lambda one: one[0])
+        settled.add(effect.name)
+        _may_stand_for(neighbours, name, effect)
+        data, final = patch_settled(data, final)
+        final = whole_numbers(data, drop_needless(data, final, tried))
+        compared = compare_all(data, final, neighbours, progress)
+    return data, final, compared
+
+
+def _with_own_noise(data: Data, fitted: Fit) -> tuple[Data, Fit]:
+    """Settle a model with the noise that fits it, and refine its effects."""
+    own, one = settle(data.machine, data.runs, fitted.hypothesis, data.noise, last=fitted.jacobian)
+    return own, extend_effects(data.machine, own, one)
+
+
+def _helps_unseen(data: Data, fitted: Fit, name: str) -> bool:
+    """Whether an effect of the model helps runs that were not fitted."""
+    place = fitted.hypothesis.place_of(name)
+    [check] = check_unseen(data, fitted.refitted_without(data, place), [fitted.moved_last(place)])
+    return check.helps
+
+
+def _may_stand_for(neighbours: dict[str, list[Candidate]], name: str, effect: Candidate) -> None:
+    """Note that an effect which gave way to another may stand in its place."""
+    others = [c for c in neighbours.get(effect.name, []) if c.name != effect.name]
+    neighbours[name] = [effect, *others]
