@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from omnislip.gap import baselines
 from omnislip.gap.baselines import Accelerations, Library, ask_baselines, replay_errors
-from omnislip.gap.find import split_runs
 from omnislip.gap.inference import DIVERGED, fit
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import first_guess
 from omnislip.gap.recordings import make_run
 from omnislip.gap.settle import believed_hypothesis
+from omnislip.gap.split import split_runs
 from omnislip.gap.truth import TruthCase, write_case
 from omnislip.gap.truth_effects import HiddenEffect
 from omnislip.log_file import read_log

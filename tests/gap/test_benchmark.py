@@ -175,7 +175,7 @@ def test_results_are_the_same_on_a_cluster_and_when_a_worker_dies(
 @pytest.mark.parametrize(("scale", "visible"), [(0.9, True), (0.9999, False)])
 def test_what_refused_logs_show_is_told_by_the_oracle(scale, visible, monkeypatch):
     """A gate that wrongly refuses logs which show a weak motor is no way out."""
-    monkeypatch.setattr(find, "_too_little", lambda *_: "nobody drives so")
+    monkeypatch.setattr(find, "too_little", lambda *_: "nobody drives so")
     motor = HiddenEffect("weak_motor", {"scale": scale}, 2).as_dict()
     case = TruthCase(seed=3, effects=(motor,), runs=2, run_duration_s=3.0)
     row = solve(asdict(Task("refused", "single", case))).result

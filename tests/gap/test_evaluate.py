@@ -8,7 +8,8 @@ from axis_bench import Bench, make_log, model_text, silent, true_noise
 from omnislip.errors import InputError
 from omnislip.gap import evaluate
 from omnislip.gap.evaluate import evaluate_model
-from omnislip.gap.find import find_gap, to_json, write_results
+from omnislip.gap.find import find_gap
+from omnislip.gap.findings import to_json, write_results
 from omnislip.gap.truth import TruthCase, write_case
 from omnislip.log_file import read_log, write_log
 from omnislip.model_file import Effect, read_model, write_model

@@ -13,28 +13,17 @@ import pandas as pd
 import pytest
 from axis_bench import Bench, make_log, model_text, silent
 from omnislip.errors import InputError
-from omnislip.gap import find
-from omnislip.gap.find import (
-    find_gap,
-    split_runs,
-    to_json,
-    usable_runs,
-    weak_names,
-    write_results,
-)
-from omnislip.gap.inference import Evidence
-from omnislip.gap.leftover import Shape
-from omnislip.gap.machine import Machine
+from omnislip.gap import find, first_models
+from omnislip.gap.find import find_gap
+from omnislip.gap.findings import to_json, write_results
 from omnislip.gap.metrics import Closed, Left
-from omnislip.gap.plan import Manoeuvre, Separation
-from omnislip.gap.selected import Selected
 from omnislip.gap.truth import TruthCase, write_case
 from omnislip.gap.truth_effects import HiddenEffect, typical_effect
-from omnislip.log_file import POSE_COLUMNS, Log, write_log
-from omnislip.model_file import NOMINAL_ROBOT, read_model
+from omnislip.log_file import Log, write_log
+from omnislip.model_file import read_model
+from truth_bench import robot_log, stretches
 
 AXIS_BENCH = Bench(coulomb_n=2.0)
-ROBOT = Machine(read_model(NOMINAL_ROBOT))
 
 
 def robot_case(folder, *effects, drop=(), **case):
@@ -46,251 +35,6 @@ def robot_case(folder, *effects, drop=(), **case):
         frame = pd.read_csv(path)
         frame[[c for c in frame.columns if not c.startswith(tuple(drop))]].to_csv(path, index=False)
     return folder / "robot.toml", logs
-
-
-BY_FAR = Evidence(1e6, 60.0, 0.1, np.eye(1), 0.0)
-
-
-def selected(name, gain, inflation=1.0, variation=0.0, left=0.0):
-    candidate = next(c for c in ROBOT.candidates() if c.effect == name)
-    evidence = Evidence(gain, inflation, 0.0, np.eye(1), variation)
-    return Selected(candidate, np.ones(1), np.ones((1, 2)), evidence, (), 1.0, left)
-
-
-def verdict_of(
-    effects, left=(), jolts=False, feigned_gain=0.0, table=None, trials=(), keys_at_ends=0
-):
-    """Verdict where without a table replays are as near as can be.
-
-    `left` is the gain of a leftover term and what of it the shapes of effects cover.
-    """
-    keys = ROBOT.base_parameters()
-    x = np.array([p.high if i < keys_at_ends else (p.low + p.high) / 2 for i, p in enumerate(keys)])
-    hypothesis = SimpleNamespace(base=keys, parameters=keys, x=x)
-    left = [SimpleNamespace(gain=left[0], inflation=1.0, covered=left[1])] if left else []
-    runs = [SimpleNamespace(row_s=0.005)]
-    data = SimpleNamespace(feigned_gain=feigned_gain, machine=ROBOT, runs=runs)
-    final = SimpleNamespace(hypothesis=hypothesis)
-    outcome = SimpleNamespace(
-        selected=effects, leftover=left, trials=trials, data=data, final=final
-    )
-    table = table or SimpleNamespace(left=Left(0.0, 1.0), closed=Closed(1.0, 0.9, 1.1))
-    return find._verdict(outcome, table, False, [], jolts)
-
-
-@pytest.mark.parametrize(
-    ("covered", "verdict"), [(600.0, "effect_found"), (400.0, "unknown_effect")]
-)
-def test_names_that_leave_a_part_of_the_gap_are_not_given(covered, verdict):
-    assert verdict_of([selected("coulomb_friction", 1e5)], (500.0, covered)) == verdict
-
-
-@pytest.mark.parametrize(
-    ("gain", "nameless", "inflation", "verdict"),
-    [
-        (1000.0, 1050.0, 1.0, "effect_found"),
-        (1000.0, 1200.0, 1.0, "unknown_effect"),
-        (1000.0, 1200.0, 5.0, "effect_found"),
-        (100.0, 140.0, 1.0, "effect_found"),
-        (1000.0, None, 1.0, "effect_found"),
-    ],
-)
-def test_a_name_is_not_given_where_a_nameless_term_explains_more(
-    gain, nameless, inflation, verdict
-):
-    instead = Shape("every wheel/torque", "speed to the fifth", nameless) if nameless else None
-    one = replace(selected("quadratic_wheel_drag", gain, inflation), instead=instead)
-    assert verdict_of([one]) == verdict
-
-
-@pytest.mark.parametrize(("gain", "verdict"), [(60.0, "no_gap"), (150.0, "unknown_effect")])
-def test_a_small_rest_is_what_rows_hide(gain, verdict):
-    assert verdict_of([], (gain, 0.0)) == verdict
-
-
-def test_a_rest_that_a_controller_may_feign_is_none():
-    assert verdict_of([], (150.0, 0.0), feigned_gain=200.0) == "no_gap"
-
-
-@pytest.mark.parametrize(
-    ("source", "excess", "error", "verdict"),
-    [
-        ("repeated manoeuvres", 0.4, 0.1, "no_gap"),
-        ("repeated manoeuvres", 1.0, 0.1, "unknown_effect"),
-        ("repeated manoeuvres", 1.0, 0.5, "no_gap"),
-        ("the predictor's noise", 20.0, 0.1, "no_gap"),
-        ("the predictor's noise", 30.0, 0.1, "unknown_effect"),
-        ("the predictor's noise", 30.0, 20.0, "unknown_effect"),
-        ("the predictor's noise", 30.0, np.inf, "no_gap"),
-    ],
-)
-def test_held_out_runs_far_off_are_no_gap_to_pass_over(source, excess, error, verdict):
-    left, closed = Left(excess, error), Closed(None, None, None)
-    assert (
-        verdict_of([], table=SimpleNamespace(left=left, closed=closed, floor_source=source))
-        == verdict
-    )
-
-
-@pytest.mark.parametrize(
-    ("excess", "error", "high", "verdict"),
-    [
-        (0.4, 0.1, 0.5, "effect_found"),
-        (2.0, 0.5, 0.5, "unknown_effect"),
-        (2.0, 1.9, 0.5, "unknown_effect"),
-        (2.0, 2.1, 0.5, "effect_found"),
-        (50.0, 60.0, 0.5, "unknown_effect"),
-        (50.0, 40.0, 0.95, "effect_found"),
-    ],
-)
-def test_names_that_do_not_bring_held_out_runs_nearer_are_not_given(excess, error, high, verdict):
-    table = SimpleNamespace(left=Left(excess, error), closed=Closed(high - 0.2, -0.2, high))
-    assert verdict_of([selected("coulomb_friction", 1e5)], table=table) == verdict
-
-
-@pytest.mark.parametrize("error, verdict", [(1.9, "effect_found"), (0.5, "unknown_effect")])
-def test_a_friction_law_that_leaves_something_is_the_usual_case(error, verdict):
-    table = SimpleNamespace(left=Left(2.0, error), closed=Closed(0.3, -0.2, 0.5))
-    assert verdict_of([selected("contact_shape", 1e5)], table=table) == verdict
-
-
-@pytest.mark.parametrize(
-    ("gain", "feigned_gain", "named", "verdict"),
-    [
-        (300.0, 0.0, 0.0, "unknown_effect"),
-        (150.0, 0.0, 0.0, "no_gap"),
-        (300.0, 400.0, 0.0, "no_gap"),
-        (300.0, 0.0, 1e5, "effect_found"),
-    ],
-)
-def test_what_is_refused_is_something_where_it_gains_more_than_anything_feigns(
-    gain, feigned_gain, named, verdict
-):
-    evidence = Evidence(gain, 1.0, 0.0, np.eye(1), 0.0)
-    refused = SimpleNamespace(
-        step=1,
-        accepted=False,
-        checked=True,
-        validation_gain=-1.0,
-        evidence=evidence,
-        candidate=SimpleNamespace(effect="coulomb_friction"),
-        chance=0.0,
-    )
-    effects = [selected("coulomb_friction", named)] if named else []
-    assert verdict_of(effects, feigned_gain=feigned_gain, trials=(refused,)) == verdict
-
-
-@pytest.mark.parametrize(
-    ("gain", "named", "closed_low", "last", "verdict"),
-    [
-        (1300.0, 0.0, None, True, "unknown_effect"),
-        (150.0, 0.0, None, True, "no_gap"),
-        (1300.0, 1800.0, 0.0, True, "unknown_effect"),
-        (1300.0, 1800.0, 0.6, True, "effect_found"),
-        (1300.0, 1e5, 0.0, True, "effect_found"),
-        (1300.0, 1800.0, 0.0, False, "effect_found"),
-    ],
-)
-def test_what_explains_much_in_few_places_is_something_unless_names_cover_it(
-    gain, named, closed_low, last, verdict
-):
-    """So much, though that inflation leaves it to chance; not what gave way to what was taken.
-
-    Nor another law of friction, for no robot has the believed one; nor what is no chance, but
-    refused for another reason; nor a lag so short that commands which move within rows make it.
-    """
-    evidence = Evidence(gain, 60.0, 0.1, np.eye(1), 0.0)
-    trials = [
-        SimpleNamespace(
-            step=1,
-            accepted=False,
-            checked=True,
-            validation_gain=1.0,
-            evidence=evidence,
-            candidate=SimpleNamespace(effect="coulomb_friction"),
-            values=np.array([0.01]),
-            chance=0.1,
-        )
-    ]
-    short = {"candidate": SimpleNamespace(effect="driver_lag"), "values": np.array([4e-4])}
-    trials.append(replace_namespace(trials[0], evidence=BY_FAR, **short))
-    of_friction = SimpleNamespace(effect="contact_shape")
-    trials.append(replace_namespace(trials[0], evidence=BY_FAR, candidate=of_friction))
-    trials.append(replace_namespace(trials[0], evidence=BY_FAR, chance=1e-4))
-    if not last:
-        trials.append(replace_namespace(trials[0], accepted=True))
-    effects = [selected("coulomb_friction", named)] if named else []
-    closed = Closed(None, None, None) if closed_low is None else Closed(0.7, closed_low, 0.9)
-    table = SimpleNamespace(left=Left(0.0, 1.0), closed=closed)
-    assert verdict_of(effects, table=table, trials=trials) == verdict
-
-
-def replace_namespace(one, **changed):
-    return SimpleNamespace(**{**vars(one), **changed})
-
-
-@pytest.mark.parametrize(("keys_at_ends", "verdict"), [(4, "no_gap"), (5, "unknown_effect")])
-def test_believed_keys_at_their_ends_are_no_model_that_explains_the_logs(keys_at_ends, verdict):
-    assert verdict_of([], keys_at_ends=keys_at_ends) == verdict
-
-
-def test_what_jolts_more_often_than_anybody_pushes_is_unknown():
-    assert verdict_of([selected("coulomb_friction", 1e5)], jolts=True) == "unknown_effect"
-
-
-@pytest.mark.parametrize(
-    ("inflation", "variation", "verdict"),
-    [
-        (20.0, 0.2, "effect_found"),
-        (2.0, 0.6, "effect_found"),  # which chance gives
-        (20.0, 0.6, "unknown_effect"),
-    ],
-)
-def test_a_size_that_is_not_the_same_throughout_is_no_name(inflation, variation, verdict):
-    varying = selected("weak_motor", 2e3, inflation, variation)
-    assert verdict_of([varying]) == verdict
-    assert verdict_of([varying, selected("contact_shape", 1e5)]) == verdict
-    assert verdict_of([varying, selected("coulomb_friction", 1e5)]) == "effect_found"
-
-
-def test_a_size_that_varies_little_but_leaves_as_much_as_a_missing_term_is_no_name():
-    """A fifth of 1e4 leaves 400: more than a hundredth of it, less than that of 1e5."""
-    varying = selected("supply_sag", 1e4, 20.0, 0.2)
-    assert verdict_of([varying]) == "unknown_effect"
-    assert verdict_of([varying, selected("contact_shape", 1e5)]) == "unknown_effect"
-    assert verdict_of([varying, selected("coulomb_friction", 1e5)]) == "effect_found"
-    assert verdict_of([selected("contact_shape", 1e4, 20.0, 0.2)]) == "effect_found"
-
-
-@pytest.mark.parametrize(("law", "verdict"), [(700.0, "unknown_effect"), (800.0, "effect_found")])
-def test_a_curve_may_change_by_as_much_as_any_law_of_friction_is_off(law, verdict):
-    """A size that changes by 0.6 leaves 0.36 of 2,000."""
-    curve = replace(selected("contact_shape", 2e3, 20.0, 0.6), law_gain=law)
-    assert verdict_of([curve]) == verdict
-
-
-def test_a_name_that_a_shape_a_little_wrong_would_leave_carries_a_caution():
-    """5,000 of a million is the square of 7 %; gain alone makes none weak."""
-    known = [("coulomb_friction", 1e6, 0.0), ("payload", 5e3, 2e5), ("gyro_bias", 5e3, 1e6)]
-    [caution] = weak_names([selected(name, gain, left=left) for name, gain, left in known])
-    assert caution.startswith("gyro_bias is weak: the other effects would leave as much if they")
-    assert "7 % off" in caution
-    assert weak_names([]) == []
-
-
-def test_rivals_come_with_what_to_drive_or_the_word_that_nothing_would_help():
-    sure, ambiguous = selected("body_drag", 1e5), selected("payload", 1e5)
-    ambiguous = replace(ambiguous, rivals=("low_grip",))
-    best = Separation(Manoeuvre("twist", "", 3.8, []), 25.0, 0.0)
-    assert find._advice([sure], {}) == ""
-    assert find._advice([sure, ambiguous], {"payload": best}) == (
-        " Driving 'twist' (4 s, omnislip gap plan) would tell payload from low_grip: expected "
-        "separation 25, right with probability 0.994."
-    )
-    assert find._advice([ambiguous], {"payload": replace(best, separation=1.0)}) == (
-        " No manoeuvre of the library would tell payload from low_grip."
-    )
-    assert find._advice([ambiguous], {}) == ""  # nothing was driven
 
 
 def axis_case(folder, bench=AXIS_BENCH, seeds=range(6), **believed):
@@ -633,17 +377,6 @@ def test_names_that_close_nothing_on_held_out_runs_are_not_given(
 
 
 @pytest.mark.parametrize(
-    ("high", "stability", "proven"),
-    [(0.3, [1.0], False), (0.7, [0.5], True), (None, [0.7, 0.8], False), (None, [0.7, 1.0], True)],
-)
-def test_where_nothing_is_off_on_held_out_runs_a_name_has_to_be_stable(high, stability, proven):
-    effects = [replace(selected("coulomb_friction", 100.0), stability=one) for one in stability]
-    closed = Closed(None, None, None) if high is None else Closed(0.2, 0.1, high)
-    table = SimpleNamespace(left=Left(0.1, 0.1), closed=closed, floor_source="repeated manoeuvres")
-    assert find._closes_nothing(effects, table) != proven
-
-
-@pytest.mark.parametrize(
     ("first", "final", "held"),
     [
         ([20.0], -1e3, [True, False]),
@@ -666,7 +399,9 @@ def test_commands_are_asked_again_by_a_better_model(tmp_path, monkeypatch, first
         return looked(machine, runs, *rest)
 
     monkeypatch.setattr(find, "search", search)
-    monkeypatch.setattr(find, "likelier_held", lambda *_: answers.pop() if answers else final)
+    monkeypatch.setattr(
+        first_models, "likelier_held", lambda *_: answers.pop() if answers else final
+    )
     weak = HiddenEffect("weak_motor", {"scale": 0.8}, 2).as_dict()
     write_case(TruthCase(seed=4, effects=(weak,), runs=3, run_duration_s=3.0), tmp_path)
     findings = find_gap(tmp_path / "robot.toml", sorted(tmp_path.glob("run_*.csv")), silent)
@@ -680,10 +415,10 @@ def test_commands_are_asked_again_by_a_better_model(tmp_path, monkeypatch, first
 def test_a_model_that_lacks_more_than_the_last_one_does_not_take_its_answer_back(
     monkeypatch, effects, again
 ):
-    monkeypatch.setattr(find, "likelier_held", lambda *_: 1e3)
+    monkeypatch.setattr(first_models, "likelier_held", lambda *_: 1e3)
     machine = SimpleNamespace(holds_commands=False, believed=None)
     model = SimpleNamespace(effects=[None] * effects, flat=lambda believed: believed)
-    assert find._takes_commands_wrongly(machine, [], 2, model, None) == again
+    assert first_models.takes_commands_wrongly(machine, [], 2, model, None) == again
 
 
 def test_pushes_where_rows_are_missing_are_parted_from_those_that_can_be_told():
@@ -693,109 +428,6 @@ def test_pushes_where_rows_are_missing_are_parted_from_those_that_can_be_told():
     told, blind = find._by_lost_rows(logs, pushes)
     assert [one.run for one in told] == ["a"]
     assert [one.run for one in blind] == ["b"]
-
-
-def stretches(runs):
-    """(name, row time) of every row."""
-    return {(run.name, float(t)) for run in runs for t in run.t_s}
-
-
-@pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 6, 9, 12, 20])
-def test_no_row_is_in_two_parts_of_the_split(count, tmp_path):
-    model, _ = axis_case(tmp_path, seeds=())
-    logs = [make_log(Bench(), seed) for seed in range(count)]
-    split = split_runs(Machine(read_model(model)), logs)
-    parts = [stretches(part) for part in (split.fitting, split.held_out)]
-    assert all(parts)
-    assert sum(map(len, parts)) == len(set.union(*parts)) == sum(len(log.t_s) for log in logs)
-    assert len(parts[1]) >= 0.1 * sum(map(len, parts))
-    assert len(parts[0]) >= 0.5 * sum(map(len, parts))
-
-
-def test_what_ends_before_it_can_be_replayed_is_not_held_out(tmp_path):
-    """The last quarter begins at 3 s, and a push at 3.3 s leaves less than a second after it."""
-    model, _ = axis_case(tmp_path, seeds=())
-    log = make_log(Bench(), 1, duration_s=4.0)
-    assert not split_runs(Machine(read_model(model)), [log], [(log.name, 3.3)]).held_out
-    later = split_runs(Machine(read_model(model)), [log], [(log.name, 3.6)])
-    assert [run.duration_s for run in later.held_out] == pytest.approx([0.59])
-
-
-def long_logs(*rows, **columns):
-    """Logs of a robot by their rows."""
-    return [replace(robot_log(n, **columns), name=f"run_{k:03d}") for k, n in enumerate(rows)]
-
-
-@pytest.mark.parametrize(
-    "rows",
-    [[120_000], [40_000] * 3, [12_000] * 12, [1200] * 200, [8100] * 5, [120_000, 1600, 1600, 1600]],
-    ids=lambda rows: f"{len(rows)} of up to {max(rows)}",
-)
-def test_of_long_logs_stretches_from_all_over_are_used(rows):
-    logs = long_logs(*rows)
-    split = split_runs(ROBOT, logs)
-    for runs, most_s in ((split.fitting, 120.0), (split.held_out, 40.0)):
-        assert max(run.duration_s for run in runs) < 15.0
-        assert sum(run.duration_s for run in runs) < 1.2 * most_s
-    assert sum(run.duration_s for run in split.fitting) > 0.75 * 120.0
-    assert not stretches(split.fitting) & stretches(split.held_out)
-    if len(rows) < 12:  # a unit at least of each log that is not held out
-        assert len({run.name for run in split.fitting}) >= 0.6 * len(rows)
-    whole_s = sum(rows) * 0.005
-    assert f"of {whole_s:.0f} s" in split.thinned
-    names = [log.name for log in logs]
-    begins_s = np.cumsum([0, *rows[:-1]]) * 0.005
-    used = [*split.fitting, *split.held_out]
-    times_s = [begins_s[names.index(run.name)] + run.t_s[0] for run in used]
-    gaps_s = np.diff(np.sort([0.0, *times_s, whole_s]))
-    assert np.max(gaps_s) < 0.3 * whole_s
-
-
-@pytest.mark.parametrize("rows", [4000, 12_000])
-def test_a_pause_within_a_log_makes_it_no_longer(rows):
-    logs = long_logs(*[rows] * 4)
-    pause_s = 500.0 * (np.arange(rows) >= rows // 2)
-    paused = [replace(log, t_s=log.t_s + pause_s) for log in logs]
-    cuts = [(log.name, log.t_s[rows // 2] - 0.02) for log in paused]
-    split = split_runs(ROBOT, paused, cuts)
-    assert (split.thinned is None) == (split_runs(ROBOT, logs).thinned is None)
-    assert sum(run.duration_s for run in split.fitting) > 0.7 * min(3 * rows * 0.005, 120.0)
-
-
-def test_slow_rows_make_longer_stretches():
-    log = replace(robot_log(6000), t_s=np.arange(6000) * 0.25)
-    split = split_runs(ROBOT, [log])
-    assert sum(run.duration_s for run in split.fitting) > 90.0
-    assert min(len(run.t_s) for run in split.fitting) >= 50
-
-
-def test_manoeuvres_that_are_repeated_stay_so_in_long_logs():
-    """Logs of nearly the same length: the same stretches of them, of what is driven alike."""
-    twice = 1.0 + (np.arange(16_000) // 2000 % 4 == 1)
-    duty = robot_log(16_000).columns["wheel/1/duty"] * twice
-    whole = robot_log(16_000, **{f"wheel/{w}/duty": duty for w in range(1, 5)})
-    logs = [
-        Log(f"run_{k}", whole.t_s[:n], {c: v[:n] for c, v in whole.columns.items()})
-        for k, n in enumerate([15_900, 16_000, 15_950, 15_990, 15_930])
-    ]
-    begins = {round(run.t_s[0], 3) for run in split_runs(ROBOT, logs).fitting}
-    assert len(begins) <= 4
-    assert all(begin % 10.0 == 0.0 for begin in begins)
-
-
-def test_of_long_logs_the_liveliest_stretches_are_used():
-    """Every third ten seconds the robot drives at twice the duty."""
-    twice = 1.0 + (np.arange(120_000) // 2000 % 3 == 1)
-    duty = robot_log(120_000).columns["wheel/1/duty"] * twice
-    log = robot_log(120_000, **{f"wheel/{w}/duty": duty for w in range(1, 5)})
-    split = split_runs(ROBOT, [log])
-    assert all(10.0 <= run.t_s[0] % 30.0 < 20.0 for run in split.fitting + split.held_out)
-
-
-def test_a_minute_is_filtered_at_once_at_most():
-    runs = usable_runs(ROBOT, robot_log(26_000), [])
-    assert sum(len(run.t_s) for run in runs) == 26_000
-    assert max(run.duration_s for run in runs) < 60.0
 
 
 def test_results_are_written_all_or_none(tmp_path):
@@ -817,35 +449,6 @@ def test_where_only_what_was_held_out_is_off_that_is_said(tmp_path):
     assert findings.places == [] and findings.gap_map is None
 
 
-def test_runs_of_the_same_name_in_two_folders_are_two(tmp_path):
-    model, _ = axis_case(tmp_path, seeds=())
-    logs = [replace(make_log(Bench(), k), series=f"day_{d}") for d in range(2) for k in range(3)]
-    split = split_runs(Machine(read_model(model)), logs)
-    assert len(split.held_out) == 1
-    assert len({run.unit for run in split.fitting}) == 5
-
-
-def test_slivers_beside_a_cut_are_not_used(tmp_path):
-    """Parts of 2.25 s, the log cut at 2.05 s: 0.15 s are left, in which the filter settles."""
-    t_s = np.arange(0.0, 12.0, 0.001)
-    log = Log("run", t_s, {"axis/command": np.sin(t_s), "axis/position_m": np.sin(t_s)})
-    model, _ = axis_case(tmp_path, seeds=())
-    split = split_runs(Machine(read_model(model)), [log], [("run", 2.05)])
-    assert [round(run.duration_s, 2) for run in split.fitting] == [2.04, 2.25, 2.25, 2.25]
-
-
-@pytest.mark.parametrize("lost", [(-1.0, 1.0), (0.5, 3.5), (-1.0, 4.0)], ids=str)
-def test_a_run_of_a_robot_starts_from_a_pose_or_has_none(lost):
-    """Where the camera is lost at first, the robot has moved when it comes back."""
-    log = robot_log(800)
-    blank = (log.t_s > lost[0]) & (log.t_s < lost[1])
-    pose = {name: np.where(blank, np.nan, log.t_s) for name in POSE_COLUMNS}
-    runs = usable_runs(ROBOT, replace(log, columns=log.columns | pose), [])
-    assert sum(len(run.t_s) for run in runs) == len(log.t_s)
-    seen = [np.flatnonzero(~np.isnan(run.outputs[:, 5])) for run in runs]
-    assert all(rows.size == 0 or rows[0] == 0 for rows in seen)
-
-
 def test_a_gap_cuts_its_own_log_only(tmp_path):
     """Two folders hold a run_00 each; from that of the first half a second is missing."""
     log = make_log(AXIS_BENCH, 0)
@@ -857,18 +460,6 @@ def test_a_gap_cuts_its_own_log_only(tmp_path):
     findings = found(model, [tmp_path / "a" / "run_00.csv", *logs])
     names = [run.name for run in findings.split.fitting]
     assert names == ["a/run_00", "a/run_00", "b/run_00", "run_01", "run_02", "run_03"]
-
-
-@pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 6, 9, 12, 20])
-def test_every_unit_is_checked_by_four_others(count, tmp_path):
-    """And no row is in two of them."""
-    model, _ = axis_case(tmp_path, seeds=())
-    logs = [make_log(Bench(), seed, duration_s=15.0) for seed in range(count)]
-    split = split_runs(Machine(read_model(model)), logs)
-    units = {run.unit for run in split.fitting}
-    assert len(units) >= min(5, max(4, count - 1))
-    rows = [stretches([run for run in split.fitting if run.unit == unit]) for unit in units]
-    assert sum(map(len, rows)) == len(set.union(*rows))
 
 
 @pytest.mark.parametrize("count", [1, 3, 6])
@@ -887,15 +478,6 @@ def test_the_search_never_sees_a_held_out_row(count, tmp_path, monkeypatch):
 
 
 # ---- not enough data ----
-
-
-def robot_log(rows, **columns):
-    t_s = np.arange(rows) * 0.005
-    wave = 0.3 * np.sin(5 * t_s)
-    values = {f"wheel/{w}/duty": wave for w in range(1, 5)}
-    turned = np.round(-3000 * np.cos(5 * t_s))
-    values |= {f"wheel/{w}/encoder_counts": turned for w in range(1, 5)}
-    return Log("run", t_s, values | columns)
 
 
 TOO_LITTLE = {

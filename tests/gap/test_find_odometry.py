@@ -6,9 +6,10 @@ import re
 import numpy as np
 import pytest
 from omnislip.errors import InputError
-from omnislip.gap.find import find_gap, split_runs
+from omnislip.gap.find import find_gap
 from omnislip.gap.machine import Machine
 from omnislip.gap.recordings import ODOMETRY_CHANNELS, body_errors, make_run
+from omnislip.gap.split import split_runs
 from omnislip.log_file import Log, write_log
 from omnislip.model_file import read_model, write_model
 

@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from omnislip.gap import find, gates
 from omnislip.gap.events import Impact
-from omnislip.gap.find import find_gap, to_json
+from omnislip.gap.find import find_gap
+from omnislip.gap.findings import to_json
 from omnislip.gap.gates import _lag_s, _speed_per_duty, check, logged_set_points, too_poor
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import RunawayError

@@ -4,7 +4,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from omnislip.gap.find import find_gap, to_json
+from omnislip.gap.find import find_gap
+from omnislip.gap.findings import to_json
 from omnislip.gap.machine import Machine
 from omnislip.gap.measured import (
     CASES,

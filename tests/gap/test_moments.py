@@ -5,13 +5,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from omnislip.gap.find import moment_words
 from omnislip.gap.machine import Machine
 from omnislip.gap.moments import LEAST_LOGS, LEAST_MOMENTS, Moment, _feigned_rad_s, find_moments
 from omnislip.gap.noise import no_load_speed_rad_s, stall_acceleration_rad_s2, track_all
 from omnislip.gap.recordings import make_run
 from omnislip.gap.settle import believed_hypothesis, settle
 from omnislip.gap.truth import TruthCase
+from omnislip.gap.words import moment_words
 from omnislip.model_file import NOMINAL_ROBOT, read_model
 from truth_bench import logs_of
 

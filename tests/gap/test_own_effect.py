@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from omnislip.gap.find import find_gap, to_json, write_results
+from omnislip.gap.find import find_gap
+from omnislip.gap.findings import to_json, write_results
 from omnislip.gap.report import render
 from omnislip.log_file import write_log
 from omnislip.model_file import NOMINAL_ROBOT, Effect, read_model, with_definitions, write_model

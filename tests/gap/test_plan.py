@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from omnislip.errors import InputError
 from omnislip.gap import plan as planning
-from omnislip.gap.find import find_gap, to_json
+from omnislip.gap.find import find_gap
+from omnislip.gap.findings import to_json
 from omnislip.gap.inference import Hypothesis, fit
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import first_guess

@@ -6,13 +6,13 @@ from functools import partial
 import numpy as np
 import pytest
 from omnislip.gap import predictable, truth
-from omnislip.gap.find import LASTING_SHARES, PREDICTED_SHARE, SENSOR_SHARE, _no_chance
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import track_all
 from omnislip.gap.predictable import EQUATIONS, OWN_PASTS_S, Predictable, predictable_shares
 from omnislip.gap.recordings import ELECTRIC_CHANNELS, ROBOT_CHANNELS, make_run
 from omnislip.gap.settle import believed_hypothesis, settle
 from omnislip.gap.truth import TruthCase
+from omnislip.gap.verdict import LASTING_SHARES, PREDICTED_SHARE, SENSOR_SHARE, no_chance
 from omnislip.log_file import POSE_COLUMNS
 from omnislip.model_file import NOMINAL_ROBOT, read_model
 from omnislip.scenario import read_scenario
@@ -219,7 +219,7 @@ def test_a_supply_that_sways_on_its_own_is_no_noise_of_its_sensor():
     ],
 )
 def test_a_sensor_has_a_threshold_of_its_own(equation, share, helped, chance):
-    assert _no_chance(Predictable(equation, True, OWN_PASTS_S[0][0], share, helped, 4)) != chance
+    assert no_chance(Predictable(equation, True, OWN_PASTS_S[0][0], share, helped, 4)) != chance
 
 
 def test_a_slow_camera_that_sways_is_asked_by_its_readings():

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from omnislip.gap.evaluate import evaluate_model
-from omnislip.gap.find import READ_BEFORE, _first_models
+from omnislip.gap.find import READ_BEFORE
+from omnislip.gap.first_models import first_models
 from omnislip.gap.machine import Machine
 from omnislip.gap.read_before import reading_machine
 from omnislip.gap.recordings import ELECTRIC_CHANNELS, ROBOT_CHANNELS, make_run
@@ -99,7 +100,7 @@ def test_a_command_that_acts_a_row_late_is_no_early_reading_either(late):
     logs = logs_of(effect=delay) if late else logs_of(before=True)
     machine = reading_machine(MACHINE, logs)
     assert machine.reads_before
-    found, _, _ = _first_models(machine, [make_run(machine, log) for log in logs])
+    found, _, _ = first_models(machine, [make_run(machine, log) for log in logs])
     assert found.reads_before is not late
 
 

@@ -18,7 +18,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from omnislip.gap.balances import Balance
 from omnislip.gap.events import Impact
-from omnislip.gap.find import Findings, Split, Step, one_digit, to_json, with_deviation
+from omnislip.gap.findings import Findings, Step, to_json
 from omnislip.gap.inference import Evidence, Fit, Hypothesis
 from omnislip.gap.judge import Trial
 from omnislip.gap.leftover import Leftover
@@ -30,7 +30,9 @@ from omnislip.gap.refit import FULL_REFITS
 from omnislip.gap.report import HEADLINES, format_number, render
 from omnislip.gap.search import REFITS, Outcome
 from omnislip.gap.selected import Selected
+from omnislip.gap.split import Split
 from omnislip.gap.where import AXIS_EQUATIONS, ROBOT_EQUATIONS, Map, Place
+from omnislip.gap.words import one_digit, with_deviation
 from omnislip.model_file import NOMINAL_ROBOT, Effect, Model, read_model
 
 COMMAND_LINE = "omnislip gap find --robot robot.toml --out out run_01.csv"

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 from axis_bench import GAIN_N_V, MASS_KG, VISCOUS_N_S_M, model_text, silent
-from omnislip.gap.find import find_gap, to_json
+from omnislip.gap.find import find_gap
+from omnislip.gap.findings import to_json
 from omnislip.log_file import Log, write_log
 from scipy.signal import cont2discrete
 

@@ -7,7 +7,8 @@ import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from omnislip.gap.find import find_gap, to_json
+from omnislip.gap.find import find_gap
+from omnislip.gap.findings import to_json
 from omnislip.gap.machine import Machine
 from omnislip.gap.report import render
 from omnislip.gap.truth import TruthCase, generate, write_case

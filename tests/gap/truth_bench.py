@@ -1,8 +1,9 @@
-"""Logs of the independent generator, in memory or in a folder, and their runs."""
+"""Logs of the independent generator, in memory or in a folder, and their runs; a plain log."""
 
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 from omnislip.gap.inference import Data, Fit, fit
 from omnislip.gap.machine import Candidate, Machine
 from omnislip.gap.recordings import Run, make_run
@@ -69,3 +70,18 @@ def lag_named(
     start = believed_hypothesis(robot).with_effect(candidates[named], [0.001])
     rivals = {named: [candidates[name] for name in LAGS if name != named]}
     return *settle(robot, runs, start), rivals
+
+
+def robot_log(rows: int, **columns: np.ndarray) -> Log:
+    """A log of a robot whose wheels swing to and fro, in step."""
+    t_s = np.arange(rows) * 0.005
+    wave = 0.3 * np.sin(5 * t_s)
+    values = {f"wheel/{w}/duty": wave for w in range(1, 5)}
+    turned = np.round(-3000 * np.cos(5 * t_s))
+    values |= {f"wheel/{w}/encoder_counts": turned for w in range(1, 5)}
+    return Log("run", t_s, values | columns)
+
+
+def stretches(runs: list[Run]) -> set[tuple[str, float]]:
+    """(name, row time) of every row."""
+    return {(run.name, float(t)) for run in runs for t in run.t_s}

@@ -5,7 +5,8 @@ import math
 import pytest
 from link_bench import MODEL, session
 from omnislip.errors import InputError, RobotError
-from omnislip.gap.find import find_gap, to_json
+from omnislip.gap.find import find_gap
+from omnislip.gap.findings import to_json
 from omnislip.link import protocol
 from omnislip.link.drive import drive, to_request
 from omnislip.link.record import Recorder

@@ -35,7 +35,6 @@ import numpy as np
 import numpy.typing as npt
 
 from omnislip.errors import InputError
-from omnislip.gap.find import Split
 from omnislip.gap.inference import (
     BATCH,
     DIVERGED,
@@ -54,6 +53,7 @@ from omnislip.gap.recordings import Run
 from omnislip.gap.screen import Screened, screen
 from omnislip.gap.search import NEIGHBOURS
 from omnislip.gap.settle import believed_hypothesis
+from omnislip.gap.split import Split
 
 Array = npt.NDArray[np.float64]
 Pair = tuple[str, int | None]

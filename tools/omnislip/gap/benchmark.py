@@ -36,13 +36,15 @@ import pandas as pd
 from omnislip.compute import Outcome, run_cases
 from omnislip.files import replace_file
 from omnislip.gap.baselines import METHODS, ask_baselines, check_installed, replay_errors
-from omnislip.gap.find import Findings, find_gap, split_runs, to_json
+from omnislip.gap.find import find_gap
+from omnislip.gap.findings import Findings, to_json
 from omnislip.gap.inference import Data, Fit, Hypothesis, fit, weigh
 from omnislip.gap.machine import CURVE, PHASE, Candidate, Machine, name_on_wheel
 from omnislip.gap.metrics import gap_table, replay_all
 from omnislip.gap.noise import judging_noise, tune_noise
 from omnislip.gap.recordings import Run
 from omnislip.gap.settle import believed_hypothesis
+from omnislip.gap.split import split_runs
 from omnislip.gap.truth import TruthCase, random_case, write_case
 from omnislip.gap.truth_effects import EFFECTS, UNKNOWN_EFFECTS
 from omnislip.log_file import read_logs

@@ -38,7 +38,8 @@ def find(
     as_json: Json = False,
 ) -> None:
     """Find the gap, name its cause, write the amended model and a report."""
-    from omnislip.gap.find import find_gap, to_json, write_results
+    from omnislip.gap.find import find_gap
+    from omnislip.gap.findings import to_json, write_results
     from omnislip.gap.report import render
 
     check_folder(out)

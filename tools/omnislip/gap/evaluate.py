@@ -27,22 +27,15 @@ from typing import Any
 from omnislip.errors import InputError
 from omnislip.gap.answers import likelier_held
 from omnislip.gap.events import LEAST_PIECE_S, known_pushes
-from omnislip.gap.find import (
-    HELD_COMMANDS,
-    LEAST_ROWS,
-    MOST_FITTED_S,
-    READ_BEFORE,
-    acts_late,
-    read_after,
-    too_still,
-    usable_runs,
-)
+from omnislip.gap.find import HELD_COMMANDS, READ_BEFORE
+from omnislip.gap.first_models import acts_late, read_after
 from omnislip.gap.gates import check, rows_far_apart
 from omnislip.gap.metrics import gap_table, replay_all
 from omnislip.gap.noise import judging_noise, tune_noise
 from omnislip.gap.read_before import reading_machine
 from omnislip.gap.recordings import machine_for, unused_columns
 from omnislip.gap.settle import believed_hypothesis
+from omnislip.gap.split import LEAST_ROWS, MOST_FITTED_S, too_still, usable_runs
 from omnislip.gap.wiring import mend
 from omnislip.log_file import read_logs, without_copies
 from omnislip.model_file import read_model

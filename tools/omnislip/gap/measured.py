@@ -17,7 +17,8 @@ from scipy.signal import coherence, csd
 from omnislip import _core
 from omnislip.errors import InputError
 from omnislip.files import write_text
-from omnislip.gap.find import Findings, find_gap, to_json, write_results
+from omnislip.gap.find import find_gap
+from omnislip.gap.findings import Findings, to_json, write_results
 from omnislip.gap.inference import Data, Hypothesis, fit
 from omnislip.gap.inverse import low_pass, relative_force_error
 from omnislip.gap.judge import Trial

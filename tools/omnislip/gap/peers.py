@@ -16,7 +16,7 @@ import numpy.typing as npt
 from scipy.signal import butter, filtfilt
 
 from omnislip.errors import InputError
-from omnislip.gap.find import Findings
+from omnislip.gap.findings import Findings
 from omnislip.gap.machine import Machine
 from omnislip.gap.metrics import WINDOW_S, channel_rmse, replay_all
 from omnislip.gap.noise import track_all

@@ -17,7 +17,7 @@ of then. In a closed loop commands answer chance too, and all is taken from then
 Nor does chance last. What bumps of the floor, sticky places or a ripple of the supply add need not
 go with any of these, but it goes on for a tenth of a second and more, where chance has faded. So
 the disturbances' own past is asked too, linearly. (Chance of a bandwidth of 10 Hz tells nothing of
-itself after 60 ms, of 3 Hz a tenth, of 1.6 Hz 0.3, and after 120 ms the square of that: find.py
+itself after 60 ms, of 3 Hz a tenth, of 1.6 Hz 0.3, and after 120 ms the square of that: verdict.py
 asks for more. A load that swings tells as much of itself after 120 ms, where it swings back.)
 
 Nor does what a driver makes of its command have to be smooth: a bridge that knows coarse steps of

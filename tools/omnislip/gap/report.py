@@ -16,8 +16,21 @@ import matplotlib as mpl
 import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from omnislip.gap import answers, find, inference, leftover, metrics, report_pictures, search
-from omnislip.gap.find import CANNOT_BE_USED, NOT_ENOUGH, Findings, to_json
+from omnislip.gap import (
+    answers,
+    inference,
+    judge,
+    leftover,
+    metrics,
+    refit,
+    report_pictures,
+    rivals,
+    search,
+    split,
+    verdict,
+    words,
+)
+from omnislip.gap.findings import CANNOT_BE_USED, NOT_ENOUGH, Findings, to_json
 from omnislip.gap.judge import Trial
 from omnislip.gap.machine import Candidate, Machine, effect_and_wheel, name_on_wheel
 from omnislip.gap.metrics import Replays
@@ -71,7 +84,7 @@ def render(findings: Findings, command_line: str) -> str:
         lstrip_blocks=True,
     )
     environment.filters["number"] = format_number
-    environment.filters["with_deviation"] = find.with_deviation
+    environment.filters["with_deviation"] = words.with_deviation
     with mpl.rc_context(report_pictures.STYLE):
         return environment.get_template("report.html.j2").render(
             numbers=numbers,
@@ -172,7 +185,7 @@ def _effects(findings: Findings, numbers: Json) -> list[Json]:
             "name": name_on_wheel(effect.name, effect.wheel),
             "entry": GATE_TEXTS[effect.name],
             "rivals": [
-                (find.wiring_words(wiring), "another wiring") for wiring in findings.other_wirings
+                (words.wiring_words(wiring), "another wiring") for wiring in findings.other_wirings
             ],
         }
         for effect in findings.wiring
@@ -417,7 +430,7 @@ def _thresholds() -> list[tuple[str, str]]:
     """The numbers that decide, each with what it decides."""
     return [
         (
-            f"{search.ALPHA:g}",
+            f"{judge.ALPHA:g}",
             "largest probability that chance alone gives such a gain, over everything tried",
         ),
         (
@@ -425,12 +438,12 @@ def _thresholds() -> list[tuple[str, str]]:
             "least share of the runs that an effect must improve by sizes that fit the others",
         ),
         (
-            f"{100 * math.sqrt(search.SHAPE_SHARE):.0f} %",
+            f"{100 * math.sqrt(judge.SHAPE_SHARE):.0f} %",
             "how far a robot may be off what the effects of the model do: another effect is named "
             "if its gain / inflation is beyond what that can leave",
         ),
         (
-            f"{search.RIVAL_MARGIN:g}",
+            f"{rivals.RIVAL_MARGIN:g}",
             "a rival whose gain is smaller by less than this cannot be told from the effect",
         ),
         (
@@ -440,7 +453,7 @@ def _thresholds() -> list[tuple[str, str]]:
             "leave makes the verdict unknown",
         ),
         (
-            f"{find.LEAST_REST:g}",
+            f"{verdict.LEAST_REST:g}",
             "least gain / inflation of such a term",
         ),
         (
@@ -449,16 +462,16 @@ def _thresholds() -> list[tuple[str, str]]:
             f"({answers.UNDRIVEN:g} times as much where a direction is not driven)",
         ),
         (
-            f"{100 * find.VARIES:.0f} %",
+            f"{100 * verdict.VARIES:.0f} %",
             "change of an effect's size from half second to half second that makes it unknown, or "
             "less of it that leaves as much as such a term gains",
         ),
-        (f"{search.MOST_EFFECTS}", "most effects that are added"),
+        (f"{judge.MOST_EFFECTS}", "most effects that are added"),
         (
             f"{search.REFITS}",
             f"candidates of each step that are fitted: all by what they add, the best up to "
-            f"{search.FULL_REFITS} of them fully",
+            f"{refit.FULL_REFITS} of them fully",
         ),
-        (f"{find.LEAST_TIME_S:g} s", "least total length of the logs"),
+        (f"{split.LEAST_TIME_S:g} s", "least total length of the logs"),
         (f"{metrics.WINDOW_S:g} s", "length of a replay before it starts again"),
     ]

@@ -1,0 +1,273 @@
+"""Verdicts where names explain what is to be explained, and where not; what is said of them."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from omnislip.gap.inference import Evidence
+from omnislip.gap.leftover import Shape
+from omnislip.gap.machine import Machine
+from omnislip.gap.metrics import Closed, Left
+from omnislip.gap.plan import Manoeuvre, Separation
+from omnislip.gap.selected import Selected
+from omnislip.gap.verdict import closes_nothing, judge_outcome
+from omnislip.gap.words import advice, weak_names
+from omnislip.model_file import NOMINAL_ROBOT, read_model
+
+ROBOT = Machine(read_model(NOMINAL_ROBOT))
+
+BY_FAR = Evidence(1e6, 60.0, 0.1, np.eye(1), 0.0)
+
+
+def selected(name, gain, inflation=1.0, variation=0.0, left=0.0):
+    candidate = next(c for c in ROBOT.candidates() if c.effect == name)
+    evidence = Evidence(gain, inflation, 0.0, np.eye(1), variation)
+    return Selected(candidate, np.ones(1), np.ones((1, 2)), evidence, (), 1.0, left)
+
+
+def verdict_of(
+    effects, left=(), jolts=False, feigned_gain=0.0, table=None, trials=(), keys_at_ends=0
+):
+    """Verdict where without a table replays are as near as can be.
+
+    `left` is the gain of a leftover term and what of it the shapes of effects cover.
+    """
+    keys = ROBOT.base_parameters()
+    x = np.array([p.high if i < keys_at_ends else (p.low + p.high) / 2 for i, p in enumerate(keys)])
+    hypothesis = SimpleNamespace(base=keys, parameters=keys, x=x)
+    left = [SimpleNamespace(gain=left[0], inflation=1.0, covered=left[1])] if left else []
+    runs = [SimpleNamespace(row_s=0.005)]
+    data = SimpleNamespace(feigned_gain=feigned_gain, machine=ROBOT, runs=runs)
+    final = SimpleNamespace(hypothesis=hypothesis)
+    outcome = SimpleNamespace(
+        selected=effects, leftover=left, trials=trials, data=data, final=final
+    )
+    table = table or SimpleNamespace(left=Left(0.0, 1.0), closed=Closed(1.0, 0.9, 1.1))
+    return judge_outcome(outcome, table, False, [], jolts)
+
+
+@pytest.mark.parametrize(
+    ("covered", "verdict"), [(600.0, "effect_found"), (400.0, "unknown_effect")]
+)
+def test_names_that_leave_a_part_of_the_gap_are_not_given(covered, verdict):
+    assert verdict_of([selected("coulomb_friction", 1e5)], (500.0, covered)) == verdict
+
+
+@pytest.mark.parametrize(
+    ("gain", "nameless", "inflation", "verdict"),
+    [
+        (1000.0, 1050.0, 1.0, "effect_found"),
+        (1000.0, 1200.0, 1.0, "unknown_effect"),
+        (1000.0, 1200.0, 5.0, "effect_found"),
+        (100.0, 140.0, 1.0, "effect_found"),
+        (1000.0, None, 1.0, "effect_found"),
+    ],
+)
+def test_a_name_is_not_given_where_a_nameless_term_explains_more(
+    gain, nameless, inflation, verdict
+):
+    instead = Shape("every wheel/torque", "speed to the fifth", nameless) if nameless else None
+    one = replace(selected("quadratic_wheel_drag", gain, inflation), instead=instead)
+    assert verdict_of([one]) == verdict
+
+
+@pytest.mark.parametrize(("gain", "verdict"), [(60.0, "no_gap"), (150.0, "unknown_effect")])
+def test_a_small_rest_is_what_rows_hide(gain, verdict):
+    assert verdict_of([], (gain, 0.0)) == verdict
+
+
+def test_a_rest_that_a_controller_may_feign_is_none():
+    assert verdict_of([], (150.0, 0.0), feigned_gain=200.0) == "no_gap"
+
+
+@pytest.mark.parametrize(
+    ("source", "excess", "error", "verdict"),
+    [
+        ("repeated manoeuvres", 0.4, 0.1, "no_gap"),
+        ("repeated manoeuvres", 1.0, 0.1, "unknown_effect"),
+        ("repeated manoeuvres", 1.0, 0.5, "no_gap"),
+        ("the predictor's noise", 20.0, 0.1, "no_gap"),
+        ("the predictor's noise", 30.0, 0.1, "unknown_effect"),
+        ("the predictor's noise", 30.0, 20.0, "unknown_effect"),
+        ("the predictor's noise", 30.0, np.inf, "no_gap"),
+    ],
+)
+def test_held_out_runs_far_off_are_no_gap_to_pass_over(source, excess, error, verdict):
+    left, closed = Left(excess, error), Closed(None, None, None)
+    assert (
+        verdict_of([], table=SimpleNamespace(left=left, closed=closed, floor_source=source))
+        == verdict
+    )
+
+
+@pytest.mark.parametrize(
+    ("excess", "error", "high", "verdict"),
+    [
+        (0.4, 0.1, 0.5, "effect_found"),
+        (2.0, 0.5, 0.5, "unknown_effect"),
+        (2.0, 1.9, 0.5, "unknown_effect"),
+        (2.0, 2.1, 0.5, "effect_found"),
+        (50.0, 60.0, 0.5, "unknown_effect"),
+        (50.0, 40.0, 0.95, "effect_found"),
+    ],
+)
+def test_names_that_do_not_bring_held_out_runs_nearer_are_not_given(excess, error, high, verdict):
+    table = SimpleNamespace(left=Left(excess, error), closed=Closed(high - 0.2, -0.2, high))
+    assert verdict_of([selected("coulomb_friction", 1e5)], table=table) == verdict
+
+
+@pytest.mark.parametrize("error, verdict", [(1.9, "effect_found"), (0.5, "unknown_effect")])
+def test_a_friction_law_that_leaves_something_is_the_usual_case(error, verdict):
+    table = SimpleNamespace(left=Left(2.0, error), closed=Closed(0.3, -0.2, 0.5))
+    assert verdict_of([selected("contact_shape", 1e5)], table=table) == verdict
+
+
+@pytest.mark.parametrize(
+    ("gain", "feigned_gain", "named", "verdict"),
+    [
+        (300.0, 0.0, 0.0, "unknown_effect"),
+        (150.0, 0.0, 0.0, "no_gap"),
+        (300.0, 400.0, 0.0, "no_gap"),
+        (300.0, 0.0, 1e5, "effect_found"),
+    ],
+)
+def test_what_is_refused_is_something_where_it_gains_more_than_anything_feigns(
+    gain, feigned_gain, named, verdict
+):
+    evidence = Evidence(gain, 1.0, 0.0, np.eye(1), 0.0)
+    refused = SimpleNamespace(
+        step=1,
+        accepted=False,
+        checked=True,
+        validation_gain=-1.0,
+        evidence=evidence,
+        candidate=SimpleNamespace(effect="coulomb_friction"),
+        chance=0.0,
+    )
+    effects = [selected("coulomb_friction", named)] if named else []
+    assert verdict_of(effects, feigned_gain=feigned_gain, trials=(refused,)) == verdict
+
+
+@pytest.mark.parametrize(
+    ("gain", "named", "closed_low", "last", "verdict"),
+    [
+        (1300.0, 0.0, None, True, "unknown_effect"),
+        (150.0, 0.0, None, True, "no_gap"),
+        (1300.0, 1800.0, 0.0, True, "unknown_effect"),
+        (1300.0, 1800.0, 0.6, True, "effect_found"),
+        (1300.0, 1e5, 0.0, True, "effect_found"),
+        (1300.0, 1800.0, 0.0, False, "effect_found"),
+    ],
+)
+def test_what_explains_much_in_few_places_is_something_unless_names_cover_it(
+    gain, named, closed_low, last, verdict
+):
+    """So much, though that inflation leaves it to chance; not what gave way to what was taken.
+
+    Nor another law of friction, for no robot has the believed one; nor what is no chance, but
+    refused for another reason; nor a lag so short that commands which move within rows make it.
+    """
+    evidence = Evidence(gain, 60.0, 0.1, np.eye(1), 0.0)
+    trials = [
+        SimpleNamespace(
+            step=1,
+            accepted=False,
+            checked=True,
+            validation_gain=1.0,
+            evidence=evidence,
+            candidate=SimpleNamespace(effect="coulomb_friction"),
+            values=np.array([0.01]),
+            chance=0.1,
+        )
+    ]
+    short = {"candidate": SimpleNamespace(effect="driver_lag"), "values": np.array([4e-4])}
+    trials.append(replace_namespace(trials[0], evidence=BY_FAR, **short))
+    of_friction = SimpleNamespace(effect="contact_shape")
+    trials.append(replace_namespace(trials[0], evidence=BY_FAR, candidate=of_friction))
+    trials.append(replace_namespace(trials[0], evidence=BY_FAR, chance=1e-4))
+    if not last:
+        trials.append(replace_namespace(trials[0], accepted=True))
+    effects = [selected("coulomb_friction", named)] if named else []
+    closed = Closed(None, None, None) if closed_low is None else Closed(0.7, closed_low, 0.9)
+    table = SimpleNamespace(left=Left(0.0, 1.0), closed=closed)
+    assert verdict_of(effects, table=table, trials=trials) == verdict
+
+
+def replace_namespace(one, **changed):
+    return SimpleNamespace(**{**vars(one), **changed})
+
+
+@pytest.mark.parametrize(("keys_at_ends", "verdict"), [(4, "no_gap"), (5, "unknown_effect")])
+def test_believed_keys_at_their_ends_are_no_model_that_explains_the_logs(keys_at_ends, verdict):
+    assert verdict_of([], keys_at_ends=keys_at_ends) == verdict
+
+
+def test_what_jolts_more_often_than_anybody_pushes_is_unknown():
+    assert verdict_of([selected("coulomb_friction", 1e5)], jolts=True) == "unknown_effect"
+
+
+@pytest.mark.parametrize(
+    ("inflation", "variation", "verdict"),
+    [
+        (20.0, 0.2, "effect_found"),
+        (2.0, 0.6, "effect_found"),  # which chance gives
+        (20.0, 0.6, "unknown_effect"),
+    ],
+)
+def test_a_size_that_is_not_the_same_throughout_is_no_name(inflation, variation, verdict):
+    varying = selected("weak_motor", 2e3, inflation, variation)
+    assert verdict_of([varying]) == verdict
+    assert verdict_of([varying, selected("contact_shape", 1e5)]) == verdict
+    assert verdict_of([varying, selected("coulomb_friction", 1e5)]) == "effect_found"
+
+
+def test_a_size_that_varies_little_but_leaves_as_much_as_a_missing_term_is_no_name():
+    """A fifth of 1e4 leaves 400: more than a hundredth of it, less than that of 1e5."""
+    varying = selected("supply_sag", 1e4, 20.0, 0.2)
+    assert verdict_of([varying]) == "unknown_effect"
+    assert verdict_of([varying, selected("contact_shape", 1e5)]) == "unknown_effect"
+    assert verdict_of([varying, selected("coulomb_friction", 1e5)]) == "effect_found"
+    assert verdict_of([selected("contact_shape", 1e4, 20.0, 0.2)]) == "effect_found"
+
+
+@pytest.mark.parametrize(("law", "verdict"), [(700.0, "unknown_effect"), (800.0, "effect_found")])
+def test_a_curve_may_change_by_as_much_as_any_law_of_friction_is_off(law, verdict):
+    """A size that changes by 0.6 leaves 0.36 of 2,000."""
+    curve = replace(selected("contact_shape", 2e3, 20.0, 0.6), law_gain=law)
+    assert verdict_of([curve]) == verdict
+
+
+def test_a_name_that_a_shape_a_little_wrong_would_leave_carries_a_caution():
+    """5,000 of a million is the square of 7 %; gain alone makes none weak."""
+    known = [("coulomb_friction", 1e6, 0.0), ("payload", 5e3, 2e5), ("gyro_bias", 5e3, 1e6)]
+    [caution] = weak_names([selected(name, gain, left=left) for name, gain, left in known])
+    assert caution.startswith("gyro_bias is weak: the other effects would leave as much if they")
+    assert "7 % off" in caution
+    assert weak_names([]) == []
+
+
+def test_rivals_come_with_what_to_drive_or_the_word_that_nothing_would_help():
+    sure, ambiguous = selected("body_drag", 1e5), selected("payload", 1e5)
+    ambiguous = replace(ambiguous, rivals=("low_grip",))
+    best = Separation(Manoeuvre("twist", "", 3.8, []), 25.0, 0.0)
+    assert advice([sure], {}) == ""
+    assert advice([sure, ambiguous], {"payload": best}) == (
+        " Driving 'twist' (4 s, omnislip gap plan) would tell payload from low_grip: expected "
+        "separation 25, right with probability 0.994."
+    )
+    assert advice([ambiguous], {"payload": replace(best, separation=1.0)}) == (
+        " No manoeuvre of the library would tell payload from low_grip."
+    )
+    assert advice([ambiguous], {}) == ""  # nothing was driven
+
+
+@pytest.mark.parametrize(
+    ("high", "stability", "proven"),
+    [(0.3, [1.0], False), (0.7, [0.5], True), (None, [0.7, 0.8], False), (None, [0.7, 1.0], True)],
+)
+def test_where_nothing_is_off_on_held_out_runs_a_name_has_to_be_stable(high, stability, proven):
+    effects = [replace(selected("coulomb_friction", 100.0), stability=one) for one in stability]
+    closed = Closed(None, None, None) if high is None else Closed(0.2, 0.1, high)
+    table = SimpleNamespace(left=Left(0.1, 0.1), closed=closed, floor_source="repeated manoeuvres")
+    assert closes_nothing(effects, table) != proven

@@ -1,0 +1,96 @@
+"""When commands act and sensors are read, as the motion tells, and a first model beside that."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from omnislip.gap.answers import likelier_held
+from omnislip.gap.inference import Hypothesis
+from omnislip.gap.judge import DELAY
+from omnislip.gap.machine import Machine
+from omnislip.gap.noise import Noise, RunawayError, track_all
+from omnislip.gap.recordings import Run
+from omnislip.gap.settle import FEW_TUNINGS, first_model, settle
+
+SURELY_HELD = 10.0
+"""Log-likelihood after one tuning from which its sign is that after three, with 40 recordings."""
+SURELY_MISTAKEN = 100.0
+"""Log-likelihood by which a better model has to show that commands are not what the first took
+them for, held within rows or not: beside a delay of two rows that is missing they are 7,000 off,
+and what smooth commands do within rows tells 10 to 70 and nothing about effects."""
+
+
+def first_models(machine: Machine, runs: Sequence[Run]) -> tuple[Machine, Noise, Hypothesis]:
+    """Return the machine, its commands held within rows if that is likelier, and a first model.
+
+    What is surely likelier shows by one tuning of the noise.
+    """
+    if machine.reads_before:
+        noise, first = first_model(machine, runs)
+        if not acts_late(machine, runs, noise, first):
+            return machine, noise, first
+        machine = machine.of(machine.model, holds_commands=False, reads_before=False)
+        runs = [run.moving_in_rows() for run in read_after(runs)]
+    noise, first = first_model(machine, runs, tunings=1)
+    held = likelier_held(machine, runs, first.flat(machine.believed), noise) > SURELY_HELD
+    if not held:
+        noise, first = first_model(machine, runs, (noise, first), FEW_TUNINGS - 1)
+        held = likelier_held(machine, runs, first.flat(machine.believed), noise) > 0.0
+    if held:
+        machine, runs = (
+            machine.of(machine.model, holds_commands=True),
+            other_commands(machine, runs),
+        )
+        noise, first = first_model(machine, runs, (noise, first))
+    return machine, noise, first
+
+
+def acts_late(machine: Machine, runs: Sequence[Run], noise: Noise, first: Hypothesis) -> bool:
+    """Whether the motion is a row late, too, not only what the electric sensors read.
+
+    A delay of a row shows the same currents, read after it acts: each by noise that fits it. (A fit
+    that ends at a short delay says nothing of when sensors are read.)
+    """
+    delay = next(c for c in machine.candidates() if c.effect == DELAY)
+    row_s = float(np.median([run.row_s for run in runs]))
+    if first.flat(machine.believed)[delay.parameters[0].places[0]] > 0.5 * row_s:
+        return True  # the model says so
+    after = read_after(runs)
+    try:
+        data, late = settle(machine, after, first.with_effect(delay, [row_s]), noise, 1)
+        there = track_all(machine, after, late.hypothesis.flat(machine.believed), data.noise)
+    except RunawayError:
+        return False
+    here = track_all(machine, runs, first.flat(machine.believed), noise)
+    likelihoods = [sum(track.log_likelihood for track in tracks) for tracks in (here, there)]
+    delay_s = late.hypothesis.values_of(-1)[0]
+    return likelihoods[1] > likelihoods[0] and delay_s > 0.5 * row_s
+
+
+def read_after(runs: Sequence[Run]) -> list[Run]:
+    """Return runs as if electric sensors had been read after their row's command began."""
+    return [replace(run, recording=run.recording.reading_before(False)) for run in runs]
+
+
+def takes_commands_wrongly(
+    machine: Machine, runs: Sequence[Run], least: int, model: Hypothesis, noise: Noise
+) -> bool:
+    """Whether a model shows that commands within rows are not what a first one took them for.
+
+    One with fewer effects than the `least`, those of the model that spoke last, has no say: what it
+    lacks moves commands within rows, too.
+    """
+    if len(model.effects) < least:
+        return False
+    values = model.flat(machine.believed)
+    if not machine.holds_commands:
+        return likelier_held(machine, runs, values, noise) > SURELY_MISTAKEN
+    moving = machine.of(machine.model, holds_commands=False)
+    likelier = likelier_held(moving, other_commands(machine, runs), values, noise)
+    return -likelier > SURELY_MISTAKEN
+
+
+def other_commands(machine: Machine, runs: Sequence[Run]) -> list[Run]:
+    """Return runs with their commands moving within rows where they are held, and held if not."""
+    return [r.moving_in_rows() if machine.holds_commands else r.held_in_rows() for r in runs]
