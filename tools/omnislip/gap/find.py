@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
@@ -86,6 +86,40 @@ HELD_COMMANDS = "duties: taken as held from row to row, as a controller at the r
 READ_BEFORE = "currents and voltage: taken as read before the duty of their row began"
 
 
+@dataclass
+class _Recorded:
+    """Logs as the gates leave them, and what they told."""
+
+    model: Model
+    machine: Machine
+    logs: list[Log]
+    inputs: dict[str, str]
+    """File name -> SHA-256."""
+    told: list[str]
+    cuts: list[tuple[str, float]] = field(default_factory=list)
+    wirings: list[list[Effect]] = field(default_factory=lambda: [[]])
+    """The one that is mended, and others that these logs cannot tell from it."""
+
+
+@dataclass(frozen=True)
+class _Searched:
+    """The final model, the machine and the runs it was found with, and the pushes in these."""
+
+    machine: Machine
+    split: Split
+    outcome: Outcome
+    runs: list[Run]
+    impacts: list[Impact]
+
+
+class _InsufficientError(Exception):
+    """These logs deserve no other verdict."""
+
+    def __init__(self, reason: str, headline: str = NOT_ENOUGH) -> None:
+        super().__init__(reason)
+        self.headline = headline
+
+
 def find_gap(
     model_path: Path,
     log_paths: Sequence[Path],
@@ -96,6 +130,22 @@ def find_gap(
 
     `effects_path` is a file with effects of the user's own (user_effects.py).
     """
+    recorded = _read(model_path, log_paths, effects_path, progress)
+    try:
+        _pass_gates(recorded, progress)
+        searched = _search(recorded, progress)
+        unchecked = _judge_logs(recorded, searched)
+    except _InsufficientError as error:
+        return _insufficient(recorded, error)
+    return _findings(recorded, searched, unchecked, progress)
+
+
+def _read(
+    model_path: Path,
+    log_paths: Sequence[Path],
+    effects_path: Path | None,
+    progress: Callable[[str], None],
+) -> _Recorded:
     model = read_model(model_path)
     if effects_path is not None:
         model = with_definitions(model, read_definitions(effects_path), effects_path)
@@ -106,32 +156,44 @@ def find_gap(
     told += [f"{column}: not used" for column in unused_columns(machine, logs)]
     files = [path for path in (model_path, effects_path, *log_paths) if path is not None]
     inputs = {str(path): _sha256(path) for path in files}
-    reason = too_little(machine, logs)
+    return _Recorded(model, machine, logs, inputs, told)
+
+
+def _pass_gates(recorded: _Recorded, progress: Callable[[str], None]) -> None:
+    """Mend what can be mended of the logs; tell what was, and where they have to be cut."""
+    reason = too_little(recorded.machine, recorded.logs)
     if reason:
-        return _insufficient(machine, reason, inputs, told)
+        raise _InsufficientError(reason)
     progress("checking the wiring")
-    wiring, *other_wirings = wirings = find_wirings(machine, logs)
+    recorded.wirings = find_wirings(recorded.machine, recorded.logs)
     progress("checking the recording")
-    checked = check(machine, [mend(log, wiring) for log in logs])
-    logs, cuts, told = checked.logs, checked.cuts, [*told, *checked.told]
+    wiring = recorded.wirings[0]
+    checked = check(recorded.machine, [mend(log, wiring) for log in recorded.logs])
+    recorded.logs = checked.logs
+    recorded.told += checked.told
     if checked.complaint:
-        return _insufficient(machine, checked.complaint, inputs, told, wirings, CANNOT_BE_USED)
-    machine = reading_machine(machine, logs)
+        raise _InsufficientError(checked.complaint, CANNOT_BE_USED)
+    recorded.machine = reading_machine(recorded.machine, recorded.logs)
+    recorded.cuts = checked.cuts + known_pushes(recorded.model, recorded.logs)
+
+
+def _search(recorded: _Recorded, progress: Callable[[str], None]) -> _Searched:
+    """Search for what is missing, again where only a better model shows pushes or commands."""
     progress("looking for impacts")
-    cuts += known_pushes(model, logs)
-    known = split_runs(machine, logs, cuts)
+    logs, cuts = recorded.logs, recorded.cuts
+    known = split_runs(recorded.machine, logs, cuts)
     if known.thinned:
-        told.append(known.thinned)
+        recorded.told.append(known.thinned)
     if not known.enough:
-        return _insufficient(machine, too_cut(known), inputs, told, wirings)
-    machine, noise, first = first_models(machine, known.fitting)
+        raise _InsufficientError(too_cut(known))
+    machine, noise, first = first_models(recorded.machine, known.fitting)
     runs, impacts = _pushes_beside(machine, logs, cuts, first, noise)
     least, outcome = 0, None
-    for left in reversed(range(3)):  # again where only a better model shows pushes or commands
+    for left in reversed(range(3)):
         pushes = cuts + [(impact.run, impact.time_s) for impact in impacts]
         split = split_runs(machine, logs, pushes)
         if not split.enough:
-            return _insufficient(machine, too_cut(split), inputs, told, wirings)
+            raise _InsufficientError(too_cut(split))
         mistaken = partial(takes_commands_wrongly, machine, split.fitting, least) if left else None
         try:
             outcome = search(
@@ -140,7 +202,7 @@ def find_gap(
         except MistakenError as error:
             least = error.effects
             fitting = other_commands(machine, split.fitting)
-            machine = machine.of(model, holds_commands=not machine.holds_commands)
+            machine = machine.of(machine.model, holds_commands=not machine.holds_commands)
             progress(f"again with duties {'held' if machine.holds_commands else 'moving'} in rows")
             noise, first = first_model(machine, fitting, (noise, first))
             outcome = None
@@ -155,23 +217,42 @@ def find_gap(
         if settled:
             break
     impacts, blind = _by_lost_rows(logs, impacts)
-    told += [f"{one.run}: cut at {one.time_s:.3f} s, {BLIND}" for one in blind]
+    recorded.told += [f"{one.run}: cut at {one.time_s:.3f} s, {BLIND}" for one in blind]
     if machine.holds_commands:
-        told.append(HELD_COMMANDS)
+        recorded.told.append(HELD_COMMANDS)
     if machine.reads_before:
-        told.append(READ_BEFORE)
+        recorded.told.append(READ_BEFORE)
+    return _Searched(machine, split, outcome, runs, impacts)
+
+
+def _judge_logs(recorded: _Recorded, searched: _Searched) -> str | None:
+    """Say what is sure but cannot be checked; _InsufficientError where logs tell too little."""
+    machine, outcome = searched.machine, searched.outcome
     if outcome.selected or outcome.leftover:
-        reason = logged_set_points(machine, logs, outcome.final.hypothesis.flat(machine.believed))
+        final = outcome.final.hypothesis.flat(machine.believed)
+        reason = logged_set_points(machine, recorded.logs, final)
         if reason:
-            return _insufficient(machine, reason, inputs, told, wirings, CANNOT_BE_USED)
+            raise _InsufficientError(reason, CANNOT_BE_USED)
     unchecked = unchecked_words(outcome)
     if unchecked and not (outcome.selected or missing_terms(outcome)):
-        return _insufficient(machine, unchecked, inputs, told, wirings)
+        raise _InsufficientError(unchecked)
     hopeful = outcome.selected or outcome.leftover or surely_refused(outcome)
-    if not (hopeful or wiring or impacts):
+    if not (hopeful or recorded.wirings[0] or searched.impacts):
         reason = too_poor(machine, outcome.limits)
         if reason:
-            return _insufficient(machine, reason, inputs, told, wirings)
+            raise _InsufficientError(reason)
+    return unchecked
+
+
+def _findings(
+    recorded: _Recorded,
+    searched: _Searched,
+    unchecked: str | None,
+    progress: Callable[[str], None],
+) -> Findings:
+    """Replay the held-out runs, ask whether what is left is chance, and judge it all."""
+    machine, split, outcome = searched.machine, searched.split, searched.outcome
+    impacts, (wiring, *other_wirings) = searched.impacts, recorded.wirings
     progress("replaying the held-out runs")
     believed, fitted = machine.believed, split.fitting
     judging, replays, fitted_replays, table = _judged(machine, split, outcome)
@@ -193,7 +274,7 @@ def find_gap(
         tracks = track_all(machine, fitted, after, tuned, keep_linear=True)
     shares = predictable_shares(machine, fitted, tuned, after, tracks, refit, outcome.data.answers)
     moments = find_moments(machine, fitted, tracks)
-    jolts = too_often(runs, impacts)
+    jolts = too_often(searched.runs, impacts)
     sudden = jolts or bool(moments)
     verdict = judge_outcome(outcome, table, bool(wiring or impacts), shares, sudden)
     something = outcome.selected or verdict == "unknown_effect"
@@ -241,13 +322,13 @@ def find_gap(
         steps,
         replays,
         manoeuvres,
-        inputs,
+        recorded.inputs,
         unknown,
         shares,
         cautions,
         shapes,
         other_wirings,
-        told,
+        recorded.told,
         find_balances(machine, replays, outcome.data.noise, models),
         judging,
         moments,
@@ -355,17 +436,11 @@ def _mean_force_error(machine: Machine, runs: Sequence[Run], values: Array) -> f
     return float(np.average(errors, weights=weights))
 
 
-def _insufficient(
-    machine: Machine,
-    reason: str,
-    inputs: dict[str, str],
-    told: list[str],
-    wirings: Sequence[list[Effect]] = ([],),
-    headline: str = NOT_ENOUGH,
-) -> Findings:
-    wiring, *other_wirings = wirings
+def _insufficient(recorded: _Recorded, error: _InsufficientError) -> Findings:
+    machine, (wiring, *other_wirings) = recorded.machine, recorded.wirings
+    reason = str(error)
     split = Split([], [], "no run was used")
-    sentence = f"{headline}: {reason}" + ("" if reason.endswith("?") else ".")
+    sentence = f"{error.headline}: {reason}" + ("" if reason.endswith("?") else ".")
     if wiring:
         sentence += f" The wiring is wrong: {wiring_words(wiring)}."
         sentence += undecided_words(other_wirings)
@@ -384,9 +459,9 @@ def _insufficient(
         [],
         [],
         {},
-        inputs,
+        recorded.inputs,
         other_wirings=other_wirings,
-        recording=told,
+        recording=recorded.told,
     )
 
 
