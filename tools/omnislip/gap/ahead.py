@@ -30,6 +30,7 @@ Array = npt.NDArray[np.float64]
 Progress = Callable[[str], None]
 
 BEAM, BEAM_REFITS = 3, 6
+"""Candidates that are looked ahead from, and seconds that are refitted beside each."""
 PULLED_BY = (1.5, 2.0, 3.0)
 """How much larger an effect may be than noise that covers it lets it seem."""
 FAR_DELAYS_ROWS = (1.5, 2.0, 3.0, 4.0, 6.0)

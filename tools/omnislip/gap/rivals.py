@@ -22,11 +22,12 @@ from omnislip.gap.side_by_side import side_by_side
 Progress = Callable[[str], None]
 
 RIVALS = 4
+"""Of an effect that are refitted in its place."""
 RIVAL_MARGIN, NEARLY = 10.0, 0.01
 """Gain beyond chance within which rivals cannot be told apart; and share of an effect's gain within
 which the noise that was tuned beside it may have decided against a rival."""
 NEARLY_AT_FIRST = 0.1
-"""The second where neither has been in the model: its noise fits neither."""
+"""`NEARLY` where neither has been in the model: its noise fits neither."""
 
 
 def swap_effects(

@@ -60,8 +60,8 @@ Progress = Callable[[str], None]
 
 MOST_STEPS, MOST_VAIN_STEPS = 6, 2
 """The last: steps in turn whose effect is needless by the noise that is left beside it."""
-NEIGHBOURS = 16
-REFITS = 12
+REFITS, NEIGHBOURS = 12, 16
+"""Of the candidates that promise most: those refitted, and those that may be rivals of the best."""
 CONVERGED = 0.05
 """Share of a candidate's gain that refitting without it may find."""
 
