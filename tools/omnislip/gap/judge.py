@@ -47,6 +47,8 @@ CURVES = ("low_grip", "slip_stiffness_error", "grip_falloff")
 """What changes the friction over slip: where its curve is not the believed one, two of these can
 stand for one of them beside another curve."""
 FRICTION_OVER_SLIP = (CURVE, *CURVES)
+LAW_ENTERS = (*FRICTION_OVER_SLIP, "bristle_relaxation")
+"""Also what takes a part of what friction is off its law: bristles hold what friction allows."""
 WITHIN_LAW = "no more than friction is off its law on any floor"
 DELAY = "actuation_delay"
 

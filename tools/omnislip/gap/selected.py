@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from omnislip.gap.inference import Data, Evidence, Fit, costs_refitted
-from omnislip.gap.judge import EQUAL, FRICTION_OVER_SLIP, left_by_law, left_by_others
+from omnislip.gap.judge import EQUAL, LAW_ENTERS, left_by_law, left_by_others
 from omnislip.gap.leftover import Shape, shapes_instead
 from omnislip.gap.machine import CURVE, PHASE, Candidate
 from omnislip.gap.refit import EDGE_STEPS, THRESHOLDS
@@ -46,8 +46,7 @@ class Selected:
     instead: Shape | None = None
     """What explains most in its place without a name; of the friction curve nothing."""
     law_gain: float = 0.0
-    """Gain that it may owe to friction's law, which is off on any floor; 0 for what does not change
-    the friction over slip."""
+    """Gain that it may owe to the law of friction, off on any floor; 0 for what is of its own."""
 
 
 def select_effects(
@@ -76,8 +75,7 @@ def select_effects(
         left = left_by_others(data, one.without, final, index)
         interval = find_interval(data, final, index, values, one.evidence)
         evidence, shape = one.evidence, instead.get(index)
-        slips = effect.effect in FRICTION_OVER_SLIP
-        law = left_by_law(data, one.without, final) if slips else 0.0
+        law = left_by_law(data, one.without, final) if effect.effect in LAW_ENTERS else 0.0
         selected.append(
             Selected(effect, values, interval, evidence, tuple(equals), stability, left, shape, law)
         )
