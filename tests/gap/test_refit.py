@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from omnislip.gap.inference import fit, linearise, weigh
 from omnislip.gap.judge import SURE_GAIN
-from omnislip.gap.refit import patch_settled, refit_each, whole_numbers
+from omnislip.gap.refit import extend_effects, patch_settled, refit_each, whole_numbers
 from omnislip.gap.screen import screen
 from omnislip.gap.settle import believed_hypothesis, settle
 from omnislip.gap.truth import TruthCase
@@ -94,3 +94,21 @@ def test_the_derivative_by_a_number_of_cycles_is_that_at_the_place(tmp_path):
     right = (ends[0] - ends[1]) / (2e-2 / size)
     assert np.linalg.norm(found[:, number] - right) < 0.01 * size
     assert np.linalg.norm(around[:, number] - right) > 0.3 * size
+
+
+def test_a_law_with_a_heavy_tail_has_a_share_of_its_own(tmp_path):
+    """Half a limit is reached at the slip of the slope, nine tenths at nine times that."""
+    case = TruthCase(
+        seed=8, friction_curve="rational", excitation="rich", runs=2, run_duration_s=3.0
+    )
+    robot, runs, candidates = robot_runs(case, tmp_path)
+    start = believed_hypothesis(robot).with_effect(candidates["contact_shape"], [0.1])
+    data, bent = settle(robot, runs, start)
+    refined = extend_effects(robot, data, bent)
+    [law] = refined.hypothesis.effects
+    shares = {
+        p.label: x for p, x in zip(law.parameters, refined.hypothesis.values_of(0), strict=True)
+    }
+    assert shares["rational"] == pytest.approx(1.0, abs=0.03)
+    assert shares["blend"] == pytest.approx(0.0, abs=0.05)
+    assert refined.objective < bent.objective - 500.0

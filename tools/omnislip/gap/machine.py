@@ -526,6 +526,7 @@ EXTENSIONS = {
     (CURVE, "brush"),
     (CURVE, "root"),
     (CURVE, "exponential"),
+    (CURVE, "rational"),
     (CURVE, "roller"),
     ("shaft_compliance", "load_share"),
     ("gear_backlash", "load_share"),
