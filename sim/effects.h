@@ -33,7 +33,7 @@ namespace omnislip {
 
 constexpr double kUnbounded = std::numeric_limits<double>::infinity();
 constexpr double kLoadShare = 0.2; /* wheel, shaft and last gear, of the drive's inertia */
-constexpr int kMaxEffectParameters = 6;
+constexpr int kMaxEffectParameters = 7;
 
 struct ParameterInfo {
     const char *name = nullptr;
@@ -867,22 +867,24 @@ struct ContactShape : Effect {
     static constexpr EffectInfo info = {
         "contact_shape",
         "The friction law bends otherwise between stick and slide.",
-        "(1 - b - c - d - e - f) (2/pi) atan(k s) + b tanh(x) + c sgn(x) (1 - max(1 - |x|/3, 0)^3) "
-        "+ d x / sqrt(1 + x^2) + e sgn(x) (1 - exp(-|x|)) + f x / (1 + |x|), x = (2/pi) k s; the "
-        "rollers' law takes the share `roller` of that change",
+        "(1 - b - c - d - e - f - g) (2/pi) atan(k s) + b tanh(x) + "
+        "c sgn(x) (1 - max(1 - |x|/3, 0)^3) + d x / sqrt(1 + x^2) + e sgn(x) (1 - exp(-|x|)) + "
+        "f x / (1 + |x|) + g sgn(x) min(|x|, 1), x = (2/pi) k s; the rollers' law takes the share "
+        "`roller` of that change",
         "contact",
-        "tyre laws: c is the brush model (Pacejka, Tire and Vehicle Dynamics, 2012, 3.2); c to f "
+        "tyre laws: c is the brush model (Pacejka, Tire and Vehicle Dynamics, 2012, 3.2); c to g "
         "and roller only where b does not suffice",
         Scope::kWhole,
         kRobot,
         kContact,
-        6,
+        7,
         {{"blend", "1", 0.0, -1.0, 2.5, 0.4},
          {"brush", "1", 0.0, -2.5, 2.5, 0.3},
          {"root", "1", 0.0, -2.5, 2.5, 0.3},
          {"exponential", "1", 0.0, -2.5, 2.5, 0.3},
          {"roller", "1", 0.0, -0.5, 1.5, 0.5},
-         {"rational", "1", 0.0, -2.5, 2.5, 0.3}}};
+         {"rational", "1", 0.0, -2.5, 2.5, 0.3},
+         {"straight", "1", 0.0, -2.5, 2.5, 0.3}}};
     template <class S, int N>
     static void contact(ContactTerm<S, N> &c, const Values<S> &p) {
         const bool across = used(p(4)), root = used(p(2)), rational = used(p(5));
@@ -911,10 +913,11 @@ struct ContactShape : Effect {
         const S sticking = select(left > S(0.0), left, S(0.0));
         const S decay = exp(-size), twice = decay * decay;
         S even = p(0) * (S(1.0) - twice) / (S(1.0) + twice) +
-                 p(1) * (S(1.0) - sticking * sticking * sticking) + p(3) * (S(1.0) - decay);
+                 p(1) * (S(1.0) - sticking * sticking * sticking) + p(3) * (S(1.0) - decay) +
+                 p(6) * select(size < S(1.0), size, S(1.0));
         if (rational)
             even = even + p(5) * size / (S(1.0) + size);
-        const S shares = p(0) + p(1) + p(2) + p(3) + p(5);
+        const S shares = p(0) + p(1) + p(2) + p(3) + p(5) + p(6);
         const S odd = select(x < S(0.0), -even, even) - shares * shape;
         return root ? odd + p(2) * x / sqrt(S(1.0) + x * x) : odd;
     }

@@ -527,6 +527,7 @@ EXTENSIONS = {
     (CURVE, "root"),
     (CURVE, "exponential"),
     (CURVE, "rational"),
+    (CURVE, "straight"),
     (CURVE, "roller"),
     ("shaft_compliance", "load_share"),
     ("gear_backlash", "load_share"),
