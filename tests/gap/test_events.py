@@ -32,7 +32,8 @@ from truth_bench import logs_of
 PUSHES = [(1.5, -1.0, 0.0), (-0.5, 6.0, 0.1)]
 
 
-def found_in(folder, push=None, **changed):
+def found_in(folder, push=None, stamps_s=0.0, **changed):
+    """Rows are stamped that much too early or late (standard deviation)."""
     numbers = dict(zip(IMPACT_KEYS, (2.5031, *(push or ())), strict=False))
     hidden = {"name": "impact", "parameters": numbers, "run": "run_02", "wheel": None}
     case = TruthCase(
@@ -41,6 +42,8 @@ def found_in(folder, push=None, **changed):
     write_case(case, folder)
     machine = Machine(read_model(folder / "robot.toml"))
     logs = [read_log(path, "robot") for path in sorted(folder.glob("run_*.csv"))]
+    rng = np.random.default_rng(0)
+    logs = [replace(one, t_s=one.t_s + stamps_s * rng.normal(size=len(one.t_s))) for one in logs]
     runs = [make_run(machine, log) for log in logs]
     noise, model = first_model(machine, runs)
     return find_impacts(machine, runs, model.flat(machine.believed), noise)
@@ -110,6 +113,14 @@ def test_a_push_after_which_wheels_slide_is_found(tmp_path, monkeypatch):
     assert impact.impulse == pytest.approx(push, abs=1.2)
     monkeypatch.setattr(events, "HARD_M_S", 1.0)
     assert found_in(tmp_path / "again", push, friction_curve="tanh") == []
+
+
+def test_a_push_is_found_though_rows_are_stamped_when_there_is_time(tmp_path, monkeypatch):
+    """Fast wheels go on by many counts in a fifth of a millisecond, more than a push makes them."""
+    (impact,) = found_in(tmp_path, PUSHES[0], stamps_s=2e-4, excitation="rich")
+    assert impact.time_s == pytest.approx(2.5031, abs=0.015)
+    monkeypatch.setattr(events, "STAMP_S", 1e-9)
+    assert found_in(tmp_path / "exact", PUSHES[0], stamps_s=2e-4, excitation="rich") == []
 
 
 def test_wheels_that_grip_later_than_friction_says_are_no_push(monkeypatch):

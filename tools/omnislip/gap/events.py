@@ -30,7 +30,14 @@ from scipy.optimize import least_squares
 from omnislip import _core
 from omnislip.gap.machine import LESS_GRIP, POSE_X, Machine
 from omnislip.gap.metrics import WINDOW_S
-from omnislip.gap.noise import Noise, stall_current_a, track_all, track_recordings
+from omnislip.gap.noise import (
+    STAMP_S,
+    Noise,
+    stall_current_a,
+    stamp_slope,
+    track_all,
+    track_recordings,
+)
 from omnislip.gap.recordings import Run, rim_m_per_rad
 from omnislip.gap.side_by_side import side_by_side
 from omnislip.log_file import Log
@@ -458,6 +465,9 @@ class _Window:
 
     The plant runs free from the filtered state before the earliest time of a push. Commands are
     held within rows: over so few rows what they do there is little beside the noise of a replay.
+    What a row's stamp may be off by, all its sensors are on by as far as they go in that time:
+    errors are whitened against that, too. With d what they go in a standard deviation of the stamp,
+    (I + d d')^-1/2 takes a share 1 - 1 / sqrt(1 + d'd) of the errors along d away.
     """
 
     def __init__(
@@ -481,9 +491,10 @@ class _Window:
         self._outputs[0] = np.nan
         self._start = filtered[first - 1][: machine.engine.states]
         calm = machine.recording(self._t_s, self._command, self._outputs, self._start)
-        variance = self._track(calm).replay_variance.reshape(self._outputs.shape)
-        self._weight = 1.0 / np.sqrt(variance)
-        self._calm = self._replayed(calm) * self._weight
+        track = self._track(calm, keep_linear=True)
+        self._weight = 1.0 / np.sqrt(track.replay_variance.reshape(self._outputs.shape))
+        self._late = STAMP_S * stamp_slope(self._t_s, self._outputs, track) * self._weight
+        self._calm = self._whitened(self._replayed(calm), 0)
         edges_s = np.linspace(max(earliest_s, self._t_s[0]), run.t_s[row], TIMES + 1)
         self.times_s = (0.5 * (edges_s[1:] + edges_s[:-1])).tolist()
         self._row = row + 1 - first
@@ -520,7 +531,7 @@ class _Window:
             recording = self._machine.recording(
                 self._t_s, np.clip(moved, -1.0, 1.0), self._outputs, self._start
             )
-            return np.nan_to_num(self._replayed(recording) * self._weight).ravel()
+            return np.nan_to_num(self._whitened(self._replayed(recording), 0)).ravel()
 
         if not jumps.size:
             return float(np.sum(errors(np.zeros(0)) ** 2))
@@ -541,7 +552,7 @@ class _Window:
             np.concatenate([blank, self._outputs[row + 1 :]]),
             state,
         )
-        after = self._replayed(recording)[1:] * self._weight[row + 1 :]
+        after = self._whitened(self._replayed(recording)[1:], row + 1)
         return np.nan_to_num(np.concatenate([self._calm[: row + 1], after])).ravel()
 
     def to_world(self, time_s: float) -> Array:
@@ -572,13 +583,22 @@ class _Window:
         )
         return replays[0][0]
 
-    def _track(self, recording: _core.Recording) -> _core.Track:
+    def _whitened(self, errors: Array, first: int) -> Array:
+        """Errors of rows from `first` on in their standard deviations, whatever their stamps."""
+        white, late = errors * self._weight[first:], self._late[first:]
+        square = np.sum(late**2, axis=1)
+        share = (1.0 - 1.0 / np.sqrt(1.0 + square)) / np.maximum(square, 1e-12)
+        along = share * np.nansum(late * white, axis=1)
+        return white - along[:, None] * late
+
+    def _track(self, recording: _core.Recording, keep_linear: bool = False) -> _core.Track:
         return track_recordings(
             self._machine,
             [recording],
             self._values,
             self._noise,
             REPLAY_STEP_S,
+            keep_linear=keep_linear,
             floor_window_s=WINDOW_S,
         )[0]
 

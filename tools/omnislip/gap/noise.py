@@ -56,6 +56,17 @@ CONVERGED, LITTLE = 3.0, 0.01
 was gained before: where that is much the model is off, and will be fitted before the next path."""
 
 
+def stamp_slope(t_s: Array, outputs: Array, track: _core.Track) -> Array:
+    """Return what sensors read more (rows, outputs) per second that a row's stamp is late.
+
+    Of a track with its matrices; 0 where nothing was sampled.
+    """
+    rows, count = outputs.shape
+    rate = np.gradient(track.state.reshape(rows, -1), t_s, axis=0)
+    late = np.einsum("rij,rj->ri", track.slope.reshape(rows, count, -1), rate)
+    return np.where(np.isnan(outputs), 0.0, late)
+
+
 @dataclass(frozen=True)
 class Noise:
     """Variances: `process` (states,) per second, `output` (outputs,), `initial` (states,).

@@ -49,7 +49,16 @@ from threadpoolctl import threadpool_limits
 from omnislip import _core
 from omnislip.gap.answers import foreseen, lead_rows
 from omnislip.gap.machine import LESS_GRIP, Machine
-from omnislip.gap.noise import BODY, DISTURBANCES, SHAFT, STAMP_S, YAW, Noise, track_all
+from omnislip.gap.noise import (
+    BODY,
+    DISTURBANCES,
+    SHAFT,
+    STAMP_S,
+    YAW,
+    Noise,
+    stamp_slope,
+    track_all,
+)
 from omnislip.gap.recordings import Run
 from omnislip.gap.side_by_side import side_by_side
 
@@ -233,8 +242,7 @@ def _without_stamps(run: Run, track: _core.Track) -> Array:
     rows, outputs = run.outputs.shape
     sampled = ~np.isnan(run.outputs)
     innovation = np.where(sampled, track.innovation.reshape(rows, outputs), 0.0)
-    rate = np.gradient(track.state.reshape(rows, -1), run.t_s, axis=0)
-    late = np.einsum("rij,rj->ri", track.slope.reshape(rows, outputs, -1), rate) * sampled
+    late = stamp_slope(run.t_s, run.outputs, track)
     whitening = track.whitening.reshape(rows, outputs, outputs)
     white, white_late = (np.einsum("rij,rj->ri", whitening, each) for each in (innovation, late))
     told = np.sum(white_late**2, axis=1) + STAMP_S**-2
