@@ -83,6 +83,17 @@ def test_what_electric_sensors_show_tells_when_they_are_read(sensors):
     assert reading_machine(MACHINE, logs_of(sensors)) is MACHINE
 
 
+@pytest.mark.parametrize("before", [False, True])
+def test_behind_a_missing_row_nobody_knows_under_what_an_early_reading_was(before):
+    """Nor in the first one; what is read after the command of its own row is known there."""
+    lost, log = 40, log_of(1, before=before)
+    kept = np.arange(ROWS) != lost
+    short = Log(log.name, log.t_s[kept], {n: v[kept] for n, v in log.columns.items()})
+    machine = Machine(MODEL, electric=True, holds_commands=True, reads_before=before)
+    blank = np.isnan(make_run(machine, short).outputs[:, len(ROBOT_CHANNELS) :]).all(axis=1)
+    assert np.flatnonzero(blank).tolist() == ([0, lost] if before else [ROWS - 2])
+
+
 def test_an_inductance_that_makes_currents_late_is_no_early_reading():
     coil = Effect("armature_inductance", {"inductance_h": 4e-3})
     assert reading_machine(MACHINE, logs_of(effect=coil)) is MACHINE

@@ -29,6 +29,8 @@ ELECTRIC_CHANNELS = ("supply/voltage_v", *(f"wheel/{wheel}/current_a" for wheel 
 ODOMETRY_CHANNELS = ("pose/forward_m", "pose/lateral_m", "pose/theta_rad")
 """Errors of an odometry are told along and across the robot (`body_errors`)."""
 PAST_S = 0.1
+MISSING_ROWS = 1.5
+"""Time from row to row, in usual ones, from which one is missing between."""
 SLOW_M_S = 0.1
 """Speed of a wheel's rim below which a robot is as good as at rest."""
 SLIDING_M_S = 0.2
@@ -276,8 +278,12 @@ def _robot_signals(machine: Machine, log: Log, rows: slice) -> tuple[Array, Arra
     angles = [count * rad_per_count for count in counts]
     others = [columns.get(name, blank) for name in ROBOT_CHANNELS[4:]]
     others[3] = _unwrap_sampled(others[3])
-    # What flows in the last row goes with a command that has no row to be the mean of.
+    # What flows goes with a command that has to be known: that of the last row has no row to be the
+    # mean of, and what was read before one went with that of the row before, if it is there.
     commanded = np.arange(len(log.t_s))[rows] < len(log.t_s) - 1
+    if machine.reads_before:
+        row_s = np.diff(log.t_s[rows])
+        commanded = np.append(False, row_s < MISSING_ROWS * np.median(row_s))
     electric = [
         np.where(commanded, columns[name], np.nan) if _varies(columns.get(name)) else blank
         for name in (ELECTRIC_CHANNELS if machine.electric else ())
