@@ -915,11 +915,12 @@ struct ContactShape : Effect {
         S even = p(0) * (S(1.0) - twice) / (S(1.0) + twice) +
                  p(1) * (S(1.0) - sticking * sticking * sticking) + p(3) * (S(1.0) - decay) +
                  p(6) * select(size < S(1.0), size, S(1.0));
+        if (root)
+            even = even + p(2) * size / sqrt(S(1.0) + size * size);
         if (rational)
             even = even + p(5) * size / (S(1.0) + size);
         const S shares = p(0) + p(1) + p(2) + p(3) + p(5) + p(6);
-        const S odd = select(x < S(0.0), -even, even) - shares * shape;
-        return root ? odd + p(2) * x / sqrt(S(1.0) + x * x) : odd;
+        return select(x < S(0.0), -even, even) - shares * shape;
     }
 };
 
