@@ -19,6 +19,7 @@ from omnislip.gap.findings import to_json, write_results
 from omnislip.gap.metrics import Closed, Left
 from omnislip.gap.truth import TruthCase, write_case
 from omnislip.gap.truth_effects import HiddenEffect, typical_effect
+from omnislip.gap.words import HELD_COMMANDS
 from omnislip.log_file import Log, write_log
 from omnislip.model_file import read_model
 from truth_bench import robot_log, stretches
@@ -408,7 +409,7 @@ def test_commands_are_asked_again_by_a_better_model(tmp_path, monkeypatch, first
     assert (searched, answers) == (held, [])
     assert findings.machine.holds_commands == held[-1]
     assert findings.outcome.data.machine.holds_commands == held[-1]
-    assert (find.HELD_COMMANDS in findings.recording) == held[-1]
+    assert (HELD_COMMANDS in findings.recording) == held[-1]
 
 
 @pytest.mark.parametrize(("effects", "again"), [(0, False), (1, False), (2, True), (3, True)])

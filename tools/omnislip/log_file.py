@@ -57,6 +57,10 @@ class Log:
         """Usual time from row to row; 0 with one row."""
         return float(np.median(np.diff(self.t_s))) if len(self.t_s) > 1 else 0.0
 
+    def rows_missing(self, least: int) -> npt.NDArray[np.bool_]:
+        """Whether so many rows or more are missing behind each row but the last (n - 1,)."""
+        return np.diff(self.t_s) > (0.5 + least) * self.row_s
+
     def holds_same(self, other: "Log") -> bool:
         """Whether another log has the same rows in the same columns."""
         return (

@@ -1,6 +1,6 @@
 """One step further than the search: by the noise an effect leaves, in pairs, far from none."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,11 +23,10 @@ from omnislip.gap.noise import RunawayError, some_runs, track_all, tuned_likelih
 from omnislip.gap.recordings import Run
 from omnislip.gap.refit import patch_again, refit_quickly
 from omnislip.gap.screen import Screened, neutral_sizes, screen
-from omnislip.gap.settle import FEW_TUNINGS, settle
+from omnislip.gap.settle import FEW_TUNINGS, Progress, settle
 from omnislip.gap.side_by_side import side_by_side
 
 Array = npt.NDArray[np.float64]
-Progress = Callable[[str], None]
 
 BEAM, BEAM_REFITS = 3, 6
 """Candidates that are looked ahead from, and seconds that are refitted beside each."""

@@ -27,8 +27,7 @@ from typing import Any
 from omnislip.errors import InputError
 from omnislip.gap.answers import likelier_held
 from omnislip.gap.events import LEAST_PIECE_S, known_pushes
-from omnislip.gap.find import HELD_COMMANDS, READ_BEFORE
-from omnislip.gap.first_models import acts_late, read_after
+from omnislip.gap.first_models import acting_late, acts_late
 from omnislip.gap.gates import check, rows_far_apart
 from omnislip.gap.metrics import gap_table, replay_all
 from omnislip.gap.noise import judging_noise, tune_noise
@@ -37,6 +36,7 @@ from omnislip.gap.recordings import machine_for, unused_columns
 from omnislip.gap.settle import believed_hypothesis
 from omnislip.gap.split import LEAST_ROWS, MOST_FITTED_S, too_still, usable_runs
 from omnislip.gap.wiring import mend
+from omnislip.gap.words import HELD_COMMANDS, READ_BEFORE
 from omnislip.log_file import read_logs, without_copies
 from omnislip.model_file import read_model
 
@@ -80,10 +80,11 @@ def evaluate_model(
     progress("tuning the noise")
     noise = tune_noise(machine, runs, machine.believed)
     total_s = sum(run.duration_s for run in runs)
-    some = runs[:: max(1, round(total_s / MOST_FITTED_S))]
+    every = max(1, round(total_s / MOST_FITTED_S))
+    some = runs[::every]
     if machine.reads_before and acts_late(machine, some, noise, believed_hypothesis(machine)):
-        machine = machine.of(model, holds_commands=False, reads_before=False)
-        runs, some = ([r.moving_in_rows() for r in read_after(own)] for own in (runs, some))
+        machine, runs = acting_late(machine, runs)
+        some = runs[::every]
         noise = tune_noise(machine, runs, machine.believed)
     if machine.reads_before:
         told += [HELD_COMMANDS, READ_BEFORE]

@@ -278,7 +278,7 @@ def without_repeated(runs: Sequence[Run], impacts: Sequence[Impact]) -> list[Imp
 
 def beside_lost_rows(log: Log, time_s: float) -> bool:
     """Whether rows are missing where a push seems to begin: what was commanded there is unknown."""
-    lost = np.diff(log.t_s) > (0.5 + LOST_ROWS) * log.row_s
+    lost = log.rows_missing(LOST_ROWS)
     begins, ends = log.t_s[:-1][lost] - log.row_s, log.t_s[1:][lost] + log.row_s
     return bool(np.any((begins <= time_s) & (time_s <= ends)))
 

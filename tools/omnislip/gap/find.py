@@ -1,7 +1,7 @@
 """`omnislip gap find`: from logs to a verdict, an amended model and the proof on unseen runs."""
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -36,9 +36,8 @@ from omnislip.gap.predictable import predictable_shares
 from omnislip.gap.read_before import reading_machine
 from omnislip.gap.recordings import Run, machine_for, make_run, unused_columns
 from omnislip.gap.search import MistakenError, Outcome, search
-from omnislip.gap.settle import first_model
+from omnislip.gap.settle import Progress, first_model
 from omnislip.gap.split import (
-    RUNS_TO_HOLD_OUT_WHOLE,
     WHOLE_RUNS,
     Split,
     split_runs,
@@ -59,6 +58,10 @@ from omnislip.gap.verdict import (
 from omnislip.gap.where import describe, map_gap
 from omnislip.gap.wiring import find_wirings, mend
 from omnislip.gap.words import (
+    BLIND,
+    FEW_RUNS,
+    HELD_COMMANDS,
+    READ_BEFORE,
     advice,
     impact_words,
     jolt_words,
@@ -76,14 +79,6 @@ from omnislip.model_file import Effect, Model, read_model, with_definitions
 from omnislip.user_effects import read_definitions
 
 Array = npt.NDArray[np.float64]
-
-FEW_RUNS = (
-    f"With fewer than {RUNS_TO_HOLD_OUT_WHOLE} logs the choice was checked on parts of runs whose "
-    "other parts were fitted: a name may change with more."
-)
-BLIND = "where rows are missing: a push cannot be told from what was commanded there"
-HELD_COMMANDS = "duties: taken as held from row to row, as a controller at the rate of the log does"
-READ_BEFORE = "currents and voltage: taken as read before the duty of their row began"
 
 
 @dataclass
@@ -123,7 +118,7 @@ class _InsufficientError(Exception):
 def find_gap(
     model_path: Path,
     log_paths: Sequence[Path],
-    progress: Callable[[str], None],
+    progress: Progress,
     effects_path: Path | None = None,
 ) -> Findings:
     """Find the gap between a model file and logs. InputError for files that cannot be used.
@@ -144,7 +139,7 @@ def _read(
     model_path: Path,
     log_paths: Sequence[Path],
     effects_path: Path | None,
-    progress: Callable[[str], None],
+    progress: Progress,
 ) -> _Recorded:
     model = read_model(model_path)
     if effects_path is not None:
@@ -159,7 +154,7 @@ def _read(
     return _Recorded(model, machine, logs, inputs, told)
 
 
-def _pass_gates(recorded: _Recorded, progress: Callable[[str], None]) -> None:
+def _pass_gates(recorded: _Recorded, progress: Progress) -> None:
     """Mend what can be mended of the logs; tell what was, and where they have to be cut."""
     reason = too_little(recorded.machine, recorded.logs)
     if reason:
@@ -177,7 +172,7 @@ def _pass_gates(recorded: _Recorded, progress: Callable[[str], None]) -> None:
     recorded.cuts = checked.cuts + known_pushes(recorded.model, recorded.logs)
 
 
-def _search(recorded: _Recorded, progress: Callable[[str], None]) -> _Searched:
+def _search(recorded: _Recorded, progress: Progress) -> _Searched:
     """Search for what is missing, again where only a better model shows pushes or commands."""
     progress("looking for impacts")
     logs, cuts = recorded.logs, recorded.cuts
@@ -248,7 +243,7 @@ def _findings(
     recorded: _Recorded,
     searched: _Searched,
     unchecked: str | None,
-    progress: Callable[[str], None],
+    progress: Progress,
 ) -> Findings:
     """Replay the held-out runs, ask whether what is left is chance, and judge it all."""
     machine, split, outcome = searched.machine, searched.split, searched.outcome

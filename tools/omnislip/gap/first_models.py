@@ -30,8 +30,7 @@ def first_models(machine: Machine, runs: Sequence[Run]) -> tuple[Machine, Noise,
         noise, first = first_model(machine, runs)
         if not acts_late(machine, runs, noise, first):
             return machine, noise, first
-        machine = machine.of(machine.model, holds_commands=False, reads_before=False)
-        runs = [run.moving_in_rows() for run in read_after(runs)]
+        machine, runs = acting_late(machine, runs)
     noise, first = first_model(machine, runs, tunings=1)
     held = likelier_held(machine, runs, first.flat(machine.believed), noise) > SURELY_HELD
     if not held:
@@ -56,7 +55,7 @@ def acts_late(machine: Machine, runs: Sequence[Run], noise: Noise, first: Hypoth
     row_s = float(np.median([run.row_s for run in runs]))
     if first.flat(machine.believed)[delay.parameters[0].places[0]] > 0.5 * row_s:
         return True  # the model says so
-    after = read_after(runs)
+    after = _read_after(runs)
     try:
         data, late = settle(machine, after, first.with_effect(delay, [row_s]), noise, 1)
         there = track_all(machine, after, late.hypothesis.flat(machine.believed), data.noise)
@@ -68,7 +67,13 @@ def acts_late(machine: Machine, runs: Sequence[Run], noise: Noise, first: Hypoth
     return likelihoods[1] > likelihoods[0] and delay_s > 0.5 * row_s
 
 
-def read_after(runs: Sequence[Run]) -> list[Run]:
+def acting_late(machine: Machine, runs: Sequence[Run]) -> tuple[Machine, list[Run]]:
+    """Return machine and runs of a robot that was taken for one that reads before it acts."""
+    machine = machine.of(machine.model, holds_commands=False, reads_before=False)
+    return machine, [run.moving_in_rows() for run in _read_after(runs)]
+
+
+def _read_after(runs: Sequence[Run]) -> list[Run]:
     """Return runs as if electric sensors had been read after their row's command began."""
     return [replace(run, recording=run.recording.reading_before(False)) for run in runs]
 

@@ -29,8 +29,6 @@ ELECTRIC_CHANNELS = ("supply/voltage_v", *(f"wheel/{wheel}/current_a" for wheel 
 ODOMETRY_CHANNELS = ("pose/forward_m", "pose/lateral_m", "pose/theta_rad")
 """Errors of an odometry are told along and across the robot (`body_errors`)."""
 PAST_S = 0.1
-MISSING_ROWS = 1.5
-"""Time from row to row, in usual ones, from which one is missing between."""
 SLOW_M_S = 0.1
 """Speed of a wheel's rim below which a robot is as good as at rest."""
 SLIDING_M_S = 0.2
@@ -282,8 +280,8 @@ def _robot_signals(machine: Machine, log: Log, rows: slice) -> tuple[Array, Arra
     # mean of, and what was read before one went with that of the row before, if it is there.
     commanded = np.arange(len(log.t_s))[rows] < len(log.t_s) - 1
     if machine.reads_before:
-        row_s = np.diff(log.t_s[rows])
-        commanded = np.append(False, row_s < MISSING_ROWS * np.median(row_s))
+        commanded[1:] &= ~log.rows_missing(1)[rows][: len(commanded) - 1]
+        commanded[0] = False
     electric = [
         np.where(commanded, columns[name], np.nan) if _varies(columns.get(name)) else blank
         for name in (ELECTRIC_CHANNELS if machine.electric else ())

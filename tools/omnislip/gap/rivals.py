@@ -1,6 +1,6 @@
 """Effects of a model beside what could stand in their place, and which of them is likelier."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from omnislip.gap.inference import Data, Evidence, Fit, check_unseen, fit, weigh
@@ -16,10 +16,8 @@ from omnislip.gap.machine import CURVE, Candidate
 from omnislip.gap.noise import RunawayError
 from omnislip.gap.refit import extend_effects, patch_settled, refit_each, whole_numbers
 from omnislip.gap.screen import screen
-from omnislip.gap.settle import likelihood_judges, log_posterior, settle
+from omnislip.gap.settle import Progress, likelihood_judges, log_posterior, settle
 from omnislip.gap.side_by_side import side_by_side
-
-Progress = Callable[[str], None]
 
 RIVALS = 4
 """Of an effect that are refitted in its place."""

@@ -52,11 +52,15 @@ from omnislip.gap.rivals import (
 )
 from omnislip.gap.screen import Screened, detection_limits, screen
 from omnislip.gap.selected import Selected, select_effects
-from omnislip.gap.settle import believed_hypothesis, likelihood_judges, log_posterior, settle
+from omnislip.gap.settle import (
+    Progress,
+    believed_hypothesis,
+    likelihood_judges,
+    log_posterior,
+    settle,
+)
 from omnislip.gap.side_by_side import side_by_side
 from omnislip.gap.terms import dictionary
-
-Progress = Callable[[str], None]
 
 MOST_STEPS, MOST_VAIN_STEPS = 6, 2
 """The last: steps in turn whose effect is needless by the noise that is left beside it."""

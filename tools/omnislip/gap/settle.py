@@ -4,7 +4,7 @@ Noise that was tuned for keys which are off gives others that are off in another
 tuned without an effect covers it. So they are fitted in turn until they agree.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +15,8 @@ from omnislip.gap.noise import Noise, track_all, tune_noise
 from omnislip.gap.recordings import Run
 
 Array = npt.NDArray[np.float64]
+Progress = Callable[[str], None]
+"""Is told what is being tried, for people who wait."""
 
 MOST_TUNINGS, FEW_TUNINGS, LEAST_TUNINGS, SETTLED = 6, 3, 2, 1.0
 """Times that noise and model are fitted in turn, at most; the same to look for pushes or one step

@@ -14,7 +14,7 @@ from omnislip.gap.plan import Separation
 from omnislip.gap.predictable import Predictable
 from omnislip.gap.search import Outcome
 from omnislip.gap.selected import Selected
-from omnislip.gap.split import Split
+from omnislip.gap.split import RUNS_TO_HOLD_OUT_WHOLE, Split
 from omnislip.gap.unknown import Unknown
 from omnislip.gap.verdict import (
     LEAST_EXCESS,
@@ -29,6 +29,13 @@ from omnislip.gap.verdict import (
 )
 from omnislip.model_file import BOTH, ENCODERS, Effect
 
+FEW_RUNS = (
+    f"With fewer than {RUNS_TO_HOLD_OUT_WHOLE} logs the choice was checked on parts of runs whose "
+    "other parts were fitted: a name may change with more."
+)
+BLIND = "where rows are missing: a push cannot be told from what was commanded there"
+HELD_COMMANDS = "duties: taken as held from row to row, as a controller at the rate of the log does"
+READ_BEFORE = "currents and voltage: taken as read before the duty of their row began"
 WEAK_SHARE = 1e-2
 """Square of how far the other effects may be off what they do before they leave as much as a name
 gains, below which it carries a caution; below a tenth of this the search gives none."""
