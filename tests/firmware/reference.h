@@ -14,11 +14,13 @@
 #define REFERENCE_PI 3.14159265358979323846
 
 /* Random cases of a test: all of them on a PC, a few on a simulated processor with 16-bit int,
- * which takes ten thousand times as long. */
+ * which takes ten thousand times as long. And steps through a table: its ends there. */
 #if INT_MAX == 32767
 #define REFERENCE_CASES(number) ((number) / 40)
+#define REFERENCE_STRIDE(number) (number)
 #else
 #define REFERENCE_CASES(number) (number)
+#define REFERENCE_STRIDE(number) 1
 #endif
 
 static inline double reference_clamp(double value, double low, double high) {
