@@ -98,6 +98,18 @@ def test_a_push_behind_the_row_that_foresees_it_is_found(tmp_path, monkeypatch):
     assert impact.time_s == pytest.approx(2.5031, abs=0.005)
 
 
+def test_a_push_long_before_the_row_that_shows_it_is_found_without_a_camera(tmp_path, monkeypatch):
+    """While wheels slide encoders tell nothing of where the robot goes."""
+    likeliest, push = events.Jumps.likeliest_row, (7.0, 0.0, 0.0)
+    monkeypatch.setattr(events.Jumps, "likeliest_row", lambda *own: likeliest(*own) + 10)
+    (impact,) = found_in(tmp_path, push, sensors=(), excitation="ordinary")
+    assert impact.time_s == pytest.approx(2.5031, abs=0.005)
+    assert np.hypot(*impact.impulse[:2]) == pytest.approx(7.0, rel=0.2)
+    monkeypatch.setattr(events, "_begun", lambda *_: None)
+    late = found_in(tmp_path / "late", push, sensors=(), excitation="ordinary")
+    assert all(abs(impact.time_s - 2.5031) > 0.02 for impact in late)
+
+
 def test_a_push_that_several_peaks_show_is_told_once(tmp_path, monkeypatch):
     peaks = events.peaks
     monkeypatch.setattr(events, "peaks", lambda *own: [p for p in peaks(*own) for _ in range(2)])

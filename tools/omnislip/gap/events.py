@@ -186,6 +186,7 @@ def _impacts_in(machine: Machine, run: Run, values: Array, noise: Noise) -> list
     filtered, impacts = track.state.reshape(len(run.t_s), -1), []
     threshold = max(LEAST_RATIO, OVER_LEVEL * level)
     rows = peaks(run.t_s, ratio, threshold)
+    unseen = bool(np.isnan(run.outputs[:, POSE_X]).all())
     by_friction = _by_friction(machine, run, values, noise, pushes) if rows else np.zeros(0)
     for peak in rows:
         if explained[peak] >= HARD_EXPLAINED and by_friction[peak] < BY_FRICTION * ratio[peak]:
@@ -197,6 +198,11 @@ def _impacts_in(machine: Machine, run: Run, values: Array, noise: Noise) -> list
                 later = _size_up(machine, run, behind, values, noise, filtered, jump[behind])
                 if later.misfit < impact.misfit:
                     row, impact = behind, later
+            elif unseen and impact.time_s < run.t_s[row] - SPAN_S * (1.0 - 2.0 / TIMES):
+                begun = _begun(machine, run, row, peak + pushes.horizon, values, noise, filtered)
+                if begun:
+                    row = int(np.searchsorted(run.t_s, begun.time_s + SPAN_S / 2.0))
+                    impact = _size_up(machine, run, row, values, noise, filtered, begun.jump, 1)
             jump_m_s = impact.jump_m_s(machine)
             shown = explained[peak] >= EXPLAINED or jump_m_s >= HARD_M_S
             least = max(LEAST_JUMP_M_S, _feigned_m_s(machine, run, row, values))
@@ -393,6 +399,31 @@ def pieces(log: Log, pushes: Sequence[tuple[str, float]]) -> list[tuple[int, int
     return [(a, b) for a, b in ranges if b > a and log.t_s[b - 1] - log.t_s[a] > LEAST_PIECE_S]
 
 
+def _begun(
+    machine: Machine,
+    run: Run,
+    row: int,
+    end: int,
+    values: Array,
+    noise: Noise,
+    filtered: Array,
+) -> "_JumpFit | None":
+    """Return the jump of a push long before the row where it shows, if that explains more.
+
+    Encoders do not tell how a robot goes whose wheels slide: a filter without a push finds out
+    where they grip, and the linear response takes the push for one there (one of 0.25 m/s, 45 ms
+    later, as a turn). So times before the row are compared by the plant's own replay, all over the
+    rows up to `end`; from the earliest on, for what is left of a push has to be large.
+    """
+    first = int(np.searchsorted(run.t_s, run.t_s[row] - APART_S))
+    ahead_s = float(run.t_s[min(end, len(run.t_s) - 1)] - run.t_s[first])
+    window = _Window(machine, run, first, values, noise, filtered, ahead_s, row)
+    fits = _fit_jumps(window, window.times_s, np.zeros(3))
+    best = min(fits, key=lambda fit: fit.cost)
+    before = run.t_s[row] - best.time_s > SPAN_S
+    return best if before and fits[-1].cost - best.cost > LEAST_RATIO else None
+
+
 def _size_up(
     machine: Machine,
     run: Run,
@@ -401,6 +432,7 @@ def _size_up(
     noise: Noise,
     filtered: Array,
     jump: Array,
+    way: int = -1,
 ) -> Impact:
     """Fit the jump with the plant for times around the row, all judged by the same rows.
 
@@ -408,15 +440,15 @@ def _size_up(
     been of another size. Time and size are means over the times, weighted by their likelihood;
     the deviations hold what the fit at one time leaves open and how the times differ. What the
     same replay is off by just before, though not more than the filter expects, is chance that no
-    push has to explain.
+    push has to explain. `way`: -1 where the jump is one of the row, 1 where it is one before it.
     """
     window = _Window(machine, run, row, values, noise, filtered)
     earlier = int(np.searchsorted(run.t_s, run.t_s[row] - HORIZON_S - SPAN_S))
     before = _Window(machine, run, max(earlier, 1), values, noise, filtered)
     chance = min(before.quiet / before.readings, 1.0) * window.readings
-    fits = _fit_jumps(window, window.times_s[::-COARSE], jump)
+    fits = _fit_jumps(window, window.times_s[:: way * COARSE], jump)
     if _explained(window.quiet, fits, chance) >= HOPEFUL:
-        others = [t for t in window.times_s[::-1] if t not in {fit.time_s for fit in fits}]
+        others = [t for t in window.times_s[::way] if t not in {fit.time_s for fit in fits}]
         fits += _fit_jumps(window, others, min(fits, key=lambda fit: fit.cost).jump)
     least = min(fit.cost for fit in fits)
     misfit = least / window.readings
@@ -463,11 +495,12 @@ class _JumpFit:
 class _Window:
     """The rows around a push as whitened replay errors that depend on its time and jump.
 
-    The plant runs free from the filtered state before the earliest time of a push. Commands are
-    held within rows: over so few rows what they do there is little beside the noise of a replay.
-    What a row's stamp may be off by, all its sensors are on by as far as they go in that time:
-    errors are whitened against that, too. With d what they go in a standard deviation of the stamp,
-    (I + d d')^-1/2 takes a share 1 - 1 / sqrt(1 + d'd) of the errors along d away.
+    Its times are those up to the row, or to a last one after it. The plant runs free from the
+    filtered state before the earliest of them. Commands are held within rows: over so few rows what
+    they do there is little beside the noise of a replay. What a row's stamp may be off by, all its
+    sensors are on by as far as they go in that time: errors are whitened against that, too. With d
+    what they go in a standard deviation of the stamp, (I + d d')^-1/2 takes a share
+    1 - 1 / sqrt(1 + d'd) of the errors along d away.
     """
 
     def __init__(
@@ -479,6 +512,7 @@ class _Window:
         noise: Noise,
         filtered: Array,
         horizon_s: float = HORIZON_S,
+        last: int | None = None,
     ) -> None:
         earliest_s = min(run.t_s[row] - SPAN_S, run.t_s[max(row - SPAN_ROWS, 0)])
         first = max(int(np.searchsorted(run.t_s, earliest_s, side="right")), 1)
@@ -495,7 +529,8 @@ class _Window:
         self._weight = 1.0 / np.sqrt(track.replay_variance.reshape(self._outputs.shape))
         self._late = STAMP_S * stamp_slope(self._t_s, self._outputs, track) * self._weight
         self._calm = self._whitened(self._replayed(calm), 0)
-        edges_s = np.linspace(max(earliest_s, self._t_s[0]), run.t_s[row], TIMES + 1)
+        latest_s = run.t_s[row if last is None else last]
+        edges_s = np.linspace(max(earliest_s, self._t_s[0]), latest_s, TIMES + 1)
         self.times_s = (0.5 * (edges_s[1:] + edges_s[:-1])).tolist()
         self._row = row + 1 - first
         self._parted = run.jumped[(run.jumped >= first) & (run.jumped < end - 1)] + 1 - first
