@@ -199,7 +199,7 @@ def _impacts_in(machine: Machine, run: Run, values: Array, noise: Noise) -> list
                 if later.misfit < impact.misfit:
                     row, impact = behind, later
             elif unseen and impact.time_s < run.t_s[row] - SPAN_S * (1.0 - 2.0 / TIMES):
-                begun = _begun(machine, run, row, peak + pushes.horizon, values, noise, filtered)
+                begun = _begun(machine, run, pushes, peak, row, values, noise, filtered)
                 if begun:
                     row = int(np.searchsorted(run.t_s, begun.time_s + SPAN_S / 2.0))
                     impact = _size_up(machine, run, row, values, noise, filtered, begun.jump, 1)
@@ -402,8 +402,9 @@ def pieces(log: Log, pushes: Sequence[tuple[str, float]]) -> list[tuple[int, int
 def _begun(
     machine: Machine,
     run: Run,
+    pushes: "Jumps",
+    peak: int,
     row: int,
-    end: int,
     values: Array,
     noise: Noise,
     filtered: Array,
@@ -412,11 +413,13 @@ def _begun(
 
     Encoders do not tell how a robot goes whose wheels slide: a filter without a push finds out
     where they grip, and the linear response takes the push for one there (one of 0.25 m/s, 45 ms
-    later, as a turn). So times before the row are compared by the plant's own replay, all over the
-    rows up to `end`; from the earliest on, for what is left of a push has to be large.
+    later, as a turn). So times before the row, back to where the state is known, are compared by
+    the plant's own replay, all over the rows that g of the `peak` looks at; from the earliest on,
+    for what is left of a push has to be large.
     """
-    first = int(np.searchsorted(run.t_s, run.t_s[row] - APART_S))
-    ahead_s = float(run.t_s[min(end, len(run.t_s) - 1)] - run.t_s[first])
+    first = max(pushes.earliest, int(np.searchsorted(run.t_s, run.t_s[row] - APART_S)))
+    end = min(peak + pushes.horizon, len(run.t_s) - 1)
+    ahead_s = float(run.t_s[end] - run.t_s[first])
     window = _Window(machine, run, first, values, noise, filtered, ahead_s, row)
     fits = _fit_jumps(window, window.times_s, np.zeros(3))
     best = min(fits, key=lambda fit: fit.cost)
