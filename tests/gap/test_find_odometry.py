@@ -133,7 +133,7 @@ def test_two_wheels_on_an_axle_are_an_odometry_too(tmp_path, model, name, hidden
 def test_a_right_model_has_no_gap(tmp_path, model):
     findings = find(tmp_path, model, [make_log(seed) for seed in range(6)])
     assert findings.verdict == "no_gap"
-    assert findings.outcome.limits["lateral_slip"]["fraction"] < 0.02
+    assert findings.limits["lateral_slip"]["fraction"] < 0.02
 
 
 def test_a_radius_that_is_wrong_beyond_its_tolerance_is_an_effect_with_its_alias(tmp_path, model):

@@ -95,7 +95,6 @@ def findings_of(machine, verdict, effects=(), rivals=()):
         Selected(e, sizes_of(e), interval_of(e), evidence_of(e), tuple(rivals), 0.97, 1e4)
         for e in effects
     )
-    limits = {"viscous_friction_error": {"viscous_friction_nm_s": 1.25e-6}}
     left = Leftover("every wheel/torque", "speed cubed", 52.5, 1.5, 1e-9, 20.0, 12.0)
     leftover = (left,) if verdict == "unknown_effect" else ()
     outcome = Outcome(
@@ -105,7 +104,6 @@ def findings_of(machine, verdict, effects=(), rivals=()):
         selected=selected,
         trials=tuple(trials),
         leftover=leftover,
-        limits=limits,
         data=None,
         neighbours={},
     )
@@ -145,6 +143,7 @@ def findings_of(machine, verdict, effects=(), rivals=()):
         inputs={"robot.toml": "ab" * 32, "run_01.csv": "cd" * 32},
         shapes=[shape] if verdict != "no_gap" else [],
         balances=[BALANCE] if robot else [],
+        limits={} if effects else {"viscous_friction_error": {"viscous_friction_nm_s": 1.25e-6}},
     )
 
 
@@ -432,16 +431,16 @@ def test_every_limit_of_gap_json_is_a_row(machines):
     """Also that of a patch in the floor, which needs places to be looked for."""
     findings = make(machines, "robot", "no_gap")
     limits = {"low_grip": {"scale": 0.01}, "slippery_patch": {"scale": 0.1}}
-    findings = replace(findings, outcome=replace(findings.outcome, limits=limits))
+    findings = replace(findings, limits=limits)
     page = Page(render(findings, COMMAND_LINE))
     rows = [row[0] for row in page.rows if row[0].split(" ")[0] in limits]
-    assert rows == [f"{effect} scale" for effect in findings.outcome.limits]
+    assert rows == [f"{effect} scale" for effect in limits]
 
 
 def test_limit_beyond_the_bound_of_its_size_is_not_called_a_limit(machines):
     findings = make(machines, "robot", "no_gap")
     limits = {"low_grip": {"scale": 7.0}}
-    findings = replace(findings, outcome=replace(findings.outcome, limits=limits))
+    findings = replace(findings, limits=limits)
     rows = Page(render(findings, COMMAND_LINE)).rows
     assert next(r for r in rows if r[0] == "low_grip scale")[1] == "cannot be seen"
 

@@ -14,7 +14,7 @@ from omnislip.gap.inference import Data, fit
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import RunawayError
 from omnislip.gap.recordings import make_run
-from omnislip.gap.screen import screen
+from omnislip.gap.screen import VISIBLE_GAIN, screen
 from omnislip.gap.search import search
 from omnislip.gap.selected import stability_of
 from omnislip.gap.settle import believed_hypothesis, settle
@@ -149,6 +149,33 @@ def test_limit_of_detection_is_where_detection_begins(machine, factor, found):
     limit = find(machine, Bench()).limits["coulomb_friction"]["force_n"]
     outcome = find(machine, Bench(coulomb_n=factor * limit))
     assert ("coulomb_friction" in names(outcome)) == found
+
+
+@pytest.mark.parametrize(
+    "name, key, none",
+    [
+        ("coulomb_friction", "coulomb_n", 0.0),
+        ("viscous_friction_error", "viscous_n_s_m", 15.0),  # which is a key of its own, in bounds
+        ("payload", "mass_kg", 10.0),
+    ],
+)
+def test_the_gain_that_stands_out_begins_at_the_limit(machine, name, key, none):
+    """Also where keys take an effect up to their bounds: there only their tolerances tell it."""
+    before = find(machine, Bench())
+    [limit] = before.limits[name].values()
+    [candidate] = [c for c in machine.candidates() if c.name == name]
+
+    def gain(size):
+        bench = Bench(**{key: none + size})
+        runs = make_runs(machine, bench, [*range(4), *range(10, 14)])
+        data = Data(machine, runs, before.data.noise, before.base.hypothesis)
+        without = fit(data, before.base.hypothesis)
+        return (
+            without.objective
+            - fit(data, without.hypothesis.with_effect(candidate, [0.0])).objective
+        )
+
+    assert gain(0.6 * limit) < VISIBLE_GAIN < gain(1.5 * limit)
 
 
 @pytest.mark.parametrize("name", HIDDEN)

@@ -327,6 +327,7 @@ def _findings(
         find_balances(machine, replays, outcome.data.noise, models),
         judging,
         moments,
+        {} if outcome.selected else outcome.limits,
     )
 
 

@@ -83,6 +83,8 @@ class Findings:
     """By which the replays of the held-out runs are judged."""
     moments: list[Moment] = field(default_factory=list)
     """When shafts of the runs that were fitted jumped as no command tells."""
+    limits: dict[str, dict[str, float]] = field(default_factory=dict)
+    """Of detection, by candidate and parameter, where no effect was found: `detection_limits`."""
 
     @property
     def amended_words(self) -> str:
@@ -101,7 +103,6 @@ def to_json(findings: Findings) -> dict[str, Any]:
     effects, nearest = ([], found) if unknown else (found, [])
     others = [_one_wiring(effect) for wiring in findings.other_wirings for effect in wiring]
     effects = [_wiring_json(effect, others) for effect in findings.wiring] + effects
-    limited = outcome is not None and not outcome.selected
     return {
         "schema": SCHEMA,
         "verdict": findings.verdict,
@@ -158,8 +159,8 @@ def to_json(findings: Findings) -> dict[str, Any]:
             {"model": s.name, "held_out": s.rmse, "relative_force_error": s.force_error}
             for s in findings.steps
         ],
-        "detection_limits": _limits_json(machine, outcome.limits) if limited else {},
-        "detection_limits_by_wheel": _limits_by_wheel(outcome.limits) if limited else {},
+        "detection_limits": _limits_json(machine, findings.limits),
+        "detection_limits_by_wheel": _limits_by_wheel(findings.limits),
         "base": _base_json(machine, outcome) if outcome else {},
         "split": {
             "how": findings.split.how,

@@ -954,11 +954,11 @@ def _chance(gain: float, scatter: "Scatter", parameters: int) -> float:
     return float(f_distribution.sf(max(gain, 0.0) / inflation / parameters, parameters, known_from))
 
 
-def _absorbed(fitted: Fit, columns: Array, leave_out: Sequence[int] = ()) -> tuple[Array, Array]:
+def absorbed(fitted: Fit, columns: Array, leave_out: Sequence[int] = ()) -> tuple[Array, Array]:
     """Regress columns (m, k) on the derivative of the fit, believed keys with their prior.
 
-    Return the columns without that, and the weights of the keys (keys, k). Parameters on a bound,
-    and those left out, cannot move and take nothing.
+    Return the columns without that, and the weights (parameters, k). Parameters on a bound, and
+    those left out, cannot move and take nothing.
     """
     others = [
         i for i in range(fitted.jacobian.shape[1]) if i not in leave_out and not at_bound(fitted, i)
@@ -966,19 +966,20 @@ def _absorbed(fitted: Fit, columns: Array, leave_out: Sequence[int] = ()) -> tup
     b = fitted.jacobian[:, others]
     gram = fitted.information[np.ix_(others, others)]
     gram += 1e-9 * np.trace(gram) / max(len(gram), 1) * np.eye(len(gram))
-    weights = np.linalg.solve(gram, b.T @ columns)
-    keys = [k for k, i in enumerate(others) if i < len(fitted.hypothesis.base)]
-    return columns - b @ weights, weights[keys]
+    weights = np.zeros((fitted.jacobian.shape[1], columns.shape[1]))
+    weights[others] = np.linalg.solve(gram, b.T @ columns)
+    return columns - b @ weights[others], weights
 
 
 def free_of_fitted(fitted: Fit, columns: Array) -> Array:
     """Return columns (m, k) without what the fitted parameters explain."""
-    return _absorbed(fitted, columns)[0]
+    return absorbed(fitted, columns)[0]
 
 
 def _projected(fitted: Fit, own: list[int]) -> tuple[Array, Array]:
     """Return the columns of `own` free of what the other parameters explain, and their Gram."""
-    score, pull = _absorbed(fitted, fitted.jacobian[:, own], own)
+    score, weights = absorbed(fitted, fitted.jacobian[:, own], own)
+    pull = weights[: len(fitted.hypothesis.base)]
     return score, score.T @ score + pull.T @ pull
 
 

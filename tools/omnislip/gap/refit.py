@@ -244,7 +244,7 @@ def _refined(machine: Machine, data: Data, fitted: Fit, name: str) -> Fit | None
     effect, index = fitted.hypothesis.effects[place], len(fitted.hypothesis.effects)
     have = {p.label for p in effect.parameters}
     offered = [
-        Screened(0.0, extension, np.array([0.1]), np.array([np.inf]))
+        Screened(0.0, extension, np.array([0.1]))
         for extension in machine.extensions(effect.effect)
         if extension.parameters[0].label not in have
     ]

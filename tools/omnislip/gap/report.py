@@ -100,7 +100,7 @@ def render(findings: Findings, command_line: str) -> str:
             where=_where(findings),
             overlays=_overlays(findings),
             steps=_steps(findings),
-            limits=_limits(findings) if numbers["detection_limits"] else [],
+            limits=_limits(findings) if findings.limits else [],
             keys=_keys(numbers["base"]),
             held_out=_held_out_names(findings),
             command_line=command_line,
@@ -362,7 +362,7 @@ def _limits(findings: Findings) -> list[Json]:
 
     Of what is infinite when absent what is smaller is seen.
     """
-    machine, limits, rows = findings.machine, findings.outcome.limits, []
+    machine, limits, rows = findings.machine, findings.limits, []
     patches = machine.floor_candidates(findings.split.fitting)
     for candidate in (*machine.candidates(), *patches):
         for index in candidate.amplitudes:

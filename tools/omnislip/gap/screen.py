@@ -1,12 +1,12 @@
-"""The gain that one linear step from a model promises of each candidate, and what it would show."""
+"""The gain that one linear step from a model promises of each candidate."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from omnislip.gap.inference import Data, Fit, Hypothesis, free_of_fitted, inflation_of, solve_within
+from omnislip.gap.inference import Data, Fit, Hypothesis, solve_within
 from omnislip.gap.machine import PHASE, Candidate, Machine
 from omnislip.gap.side_by_side import side_by_side
 
@@ -22,9 +22,6 @@ class Screened:
     promise: float
     candidate: Candidate
     start: Array
-    limit: Array
-    """Sizes, in steps of the screen, whose gain would stand out from chance; of a size that is
-    infinite when absent the largest start whose gain would, or 0."""
 
 
 def screen(data: Data, current: Fit, candidates: Sequence[Candidate]) -> list[Screened]:
@@ -37,22 +34,17 @@ def screen(data: Data, current: Fit, candidates: Sequence[Candidate]) -> list[Sc
             points.append(moved.flat(data.believed))
             owners.append(number)
     columns = (data.residuals(np.stack(points)) - current.residual).T
-    free = free_of_fitted(current, columns)
 
     def promise(number: int) -> Screened:
         own = [i for i, o in enumerate(owners) if o == number]
-        return _promise(data, current, *variants[number], columns[:, own], free[:, own])
+        return _promise(data, current, *variants[number], columns[:, own])
 
     ranked: dict[str, Screened] = {}
     promises = side_by_side(promise, range(len(variants)))
     for (candidate, _), found in zip(variants, promises, strict=True):
-        best = ranked.get(candidate.name, found)
-        infinite = ~np.isfinite(neutral_sizes(data, current.hypothesis, candidate))
-        infinite = infinite[list(candidate.amplitudes)]
-        farthest = np.maximum(found.limit, best.limit)
-        better = found if found.promise > best.promise else best
-        limit = np.where(infinite, farthest, better.limit)
-        ranked[candidate.name] = replace(better, limit=limit)
+        best = ranked.setdefault(candidate.name, found)
+        if found.promise > best.promise:
+            ranked[candidate.name] = found
     return sorted(ranked.values(), key=lambda s: -s.promise)
 
 
@@ -99,23 +91,20 @@ def _promise(
     candidate: Candidate,
     start: dict[int, float],
     columns: Array,
-    free: Array,
 ) -> Screened:
     """Take one linear step of everything: keys that rest on a bound for its lack come back, too.
 
-    `columns` (m, amplitudes) is what a step of the screen changes, `free` of them is what the
-    fitted parameters leave.
+    `columns` (m, amplitudes) is what a step of the screen changes.
     """
-    gram = free.T @ free
     start = dict(start)
     phase = [i for i, p in enumerate(candidate.parameters) if p.label == PHASE]
-    if phase and free[:, 0] @ current.residual > 0:  # a wave the other way round
+    if phase and columns[:, 0] @ current.residual > 0:  # a wave the other way round
         columns = -columns
         start[phase[0]] = half_turn(start[phase[0]] + np.pi)
     cross = current.jacobian.T @ columns
     whole = np.block([[current.information, cross], [cross.T, columns.T @ columns]])
     slope = np.concatenate([current.slope(data.believed), columns.T @ current.residual])
-    low, high = _possible_amounts(data, current.hypothesis, candidate)
+    low, high = possible_amounts(data, current.hypothesis, candidate)
     below, above = current.hypothesis.room()
     step = solve_within(whole, slope, np.append(below, low), np.append(above, high))
     promise = float(-2.0 * slope @ step - step @ whole @ step)
@@ -125,14 +114,7 @@ def _promise(
         sizes[index] = value
     for k, index in enumerate(candidate.amplitudes):
         sizes[index] = start.get(index, amount[k])
-    inflation = inflation_of(data, free, current.residual + free @ amount, gram)
-    visible = max(VISIBLE_GAIN, data.feigned_gain)
-    least, gains = visible * inflation, np.maximum(np.diag(gram), 1e-12)
-    limit = np.sqrt(least / gains)
-    for k, index in enumerate(candidate.amplitudes):
-        if index in start:
-            limit[k] = start[index] if gains[k] >= least else 0.0
-    return Screened(promise, candidate, sizes, limit)
+    return Screened(promise, candidate, sizes)
 
 
 def half_turn(angle_rad: float) -> float:
@@ -140,7 +122,7 @@ def half_turn(angle_rad: float) -> float:
     return float(np.mod(angle_rad + np.pi, 2 * np.pi) - np.pi)
 
 
-def _possible_amounts(data: Data, current: Hypothesis, candidate: Candidate) -> tuple[Array, Array]:
+def possible_amounts(data: Data, current: Hypothesis, candidate: Candidate) -> tuple[Array, Array]:
     """Bounds of the amplitudes in steps of the screen."""
     neutral = neutral_sizes(data, current, candidate)
     low, high = np.empty(len(candidate.amplitudes)), np.empty(len(candidate.amplitudes))
@@ -152,23 +134,3 @@ def _possible_amounts(data: Data, current: Hypothesis, candidate: Candidate) -> 
         else:
             low[k], high[k] = 0.0, 1.0
     return low, high
-
-
-def detection_limits(machine: Machine, screened: Sequence[Screened]) -> dict[str, dict[str, float]]:
-    """Return by effect what `_limit` says."""
-    return {one.candidate.name: _limit(machine, one) for one in screened}
-
-
-def _limit(machine: Machine, screened: Screened) -> dict[str, float]:
-    """Smallest size of each parameter that this data would have shown; absent means size 0.
-
-    Of a size that is infinite when absent the largest, if there is one.
-    """
-    candidate, limits = screened.candidate, {}
-    for limit, index in zip(screened.limit, candidate.amplitudes, strict=True):
-        parameter = candidate.parameters[index]
-        if np.isfinite(machine.believed[parameter.places[0]]):
-            limit = abs(reach_of(candidate, machine, index)) * limit
-        if limit > 0:
-            limits[machine.file_parameter(parameter.label)] = float(limit)
-    return limits

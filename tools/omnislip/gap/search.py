@@ -20,6 +20,7 @@ within what a controller feigns, cannot be told from it with these logs.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -36,6 +37,7 @@ from omnislip.gap.judge import (
     no_more_than_chance,
 )
 from omnislip.gap.leftover import Leftover, find_leftover, responses
+from omnislip.gap.limits import detection_limits
 from omnislip.gap.machine import Candidate, Machine
 from omnislip.gap.noise import Noise, RunawayError
 from omnislip.gap.recordings import Run
@@ -50,7 +52,7 @@ from omnislip.gap.rivals import (
     take_likeliest,
     take_one_of_curve,
 )
-from omnislip.gap.screen import Screened, detection_limits, screen
+from omnislip.gap.screen import Screened, screen
 from omnislip.gap.selected import Selected, select_effects
 from omnislip.gap.settle import (
     Progress,
@@ -72,7 +74,7 @@ CONVERGED = 0.05
 
 @dataclass(frozen=True)
 class Outcome:
-    """What the search found: the base fit, the final fit, every trial, limits of detection."""
+    """What the search found: the base fit, the final fit, every trial."""
 
     base: Fit
     final: Fit
@@ -82,10 +84,15 @@ class Outcome:
     trials: tuple[Trial, ...]
     leftover: tuple[Leftover, ...]
     """What the final model leaves and no effect of the catalogue explains, strongest first."""
-    limits: dict[str, dict[str, float]]
     data: Data
     neighbours: dict[str, list[Candidate]]
     """Of each effect that was chosen, what promised most then: what it may have been taken for."""
+
+    @cached_property
+    def limits(self) -> dict[str, dict[str, float]]:
+        """Limits of detection beside the base fit, by candidate and parameter of its file."""
+        candidates = self.data.machine.candidates_for(self.data.runs)
+        return detection_limits(self.data, self.base, screen(self.data, self.base, candidates))
 
     def without_effects(self) -> "Outcome":
         """Return the outcome with the base fit as the final one."""
@@ -123,13 +130,12 @@ def search(
     base_values = base.hypothesis
     current, trials = base, []
     settled, compared = base, dict[int, Compared]()
-    limits, curves = None, set[str]()
+    curves = set[str]()
     neighbours: dict[str, list[Candidate]] = {}
     steps = vain = 0
     again = _again(machine, runs, before, tried) if before else None
     if again is not None:
         progress("going on from what was found before")
-        limits = detection_limits(machine, screen(data, base, candidates))
         (data, current), neighbours = again, dict(before.neighbours)
         settled, curves = current, curves_in(current)
         taken = {effect.name for effect in current.hypothesis.effects}
@@ -141,7 +147,6 @@ def search(
             break
         progress(f"step {step}: screening {len(candidates)} effects")
         screened = screen(data, current, candidates)
-        limits = limits or detection_limits(machine, screened)
         worth = [s for s in screened[:REFITS] if s.promise > LEAST_PROMISE]
         found = _try(data, current, worth, step, tried, progress)
         accepted = next((fitted for trial, fitted in found if trial.accepted), None)
@@ -215,7 +220,6 @@ def search(
         selected,
         tuple(trials),
         tuple(leftover),
-        limits or {},
         data,
         neighbours,
     )
