@@ -35,6 +35,25 @@ def test_what_any_friction_law_leaves_is_no_falling_grip(tmp_path, fraction):
     assert not within_law(data, curved, rubbing, 1)
 
 
+@pytest.mark.parametrize("law", ["atan", "brush"])
+def test_a_small_fall_of_grip_is_told_where_no_law_takes_its_place(tmp_path, law):
+    """6 % of the grip: less than what friction off its law may leave. Or the law is another."""
+    sizes = [0.06, 0.3]
+    hidden = HiddenEffect("grip_falloff", dict(zip(("fraction", "speed_m_s"), sizes, strict=True)))
+    case = TruthCase(
+        seed=511,
+        effects=(hidden.as_dict(),) if law == "atan" else (),
+        friction_curve=law,
+        excitation="rich",
+        runs=4,
+        run_duration_s=5.0,
+    )
+    robot, runs, candidates = robot_runs(case, tmp_path)
+    data, base = settle(robot, runs, believed_hypothesis(robot))
+    falling = fit(data, base.hypothesis.with_effect(candidates["grip_falloff"], sizes))
+    assert within_law(data, base, falling, 0) == (law == "brush")
+
+
 @pytest.mark.parametrize(("name", "left"), [("contact_shape", False), ("rolling_resistance", True)])
 def test_the_friction_curve_owes_less_to_the_shapes_of_strong_effects(monkeypatch, name, left):
     """27,500, 3,700 beyond chance, where others leave 8,000 if 3 % off: beside a dead zone."""

@@ -11,6 +11,7 @@ from omnislip.gap.inference import (
     Data,
     Evidence,
     Fit,
+    fit,
     fitted_without_each_unit,
     left_by_shapes,
     most_along,
@@ -49,6 +50,8 @@ stand for one of them beside another curve."""
 FRICTION_OVER_SLIP = (CURVE, *CURVES)
 LAW_ENTERS = (*FRICTION_OVER_SLIP, "bristle_relaxation")
 """Also what takes a part of what friction is off its law: bristles hold what friction allows."""
+LITTLE_CURVED = 0.1
+"""Share of every other law to start a free curve from."""
 WITHIN_LAW = "no more than friction is off its law on any floor"
 DELAY = "actuation_delay"
 
@@ -195,11 +198,26 @@ def within_law(data: Data, without: Fit, fitted: Fit, index: int) -> bool:
     """Whether effect `index` changes the friction over slip by no more than any law is off.
 
     As `left_by_shapes` has it, for what friction does as a whole: all of it, for it is proportional
-    to the grip.
+    to the grip. Not where no law that the curve can take explains as much in the effect's place.
     """
-    if fitted.hypothesis.effects[index].effect not in CURVES:
+    effects = fitted.hypothesis.effects
+    if effects[index].effect not in CURVES:
         return False
-    return without.objective - fitted.objective <= left_by_law(data, without, fitted)
+    if without.objective - fitted.objective > left_by_law(data, without, fitted):
+        return False
+    if any(effect.effect == CURVE for effect in effects):
+        return True
+    return _any_law(data, without).objective < fitted.objective + SURE_GAIN
+
+
+def _any_law(data: Data, without: Fit) -> Fit:
+    """Fit the friction curve with all that refines it beside a model without it."""
+    model = without.hypothesis
+    [curve] = [c for c in data.machine.candidates() if c.effect == CURVE]
+    refined = model.with_effect(curve, [LITTLE_CURVED])
+    for extension in data.machine.extensions(CURVE):
+        refined = refined.with_effect(extension, [LITTLE_CURVED]).last_two_joined()
+    return fit(data, refined)
 
 
 def left_by_law(data: Data, without: Fit, fitted: Fit) -> float:
