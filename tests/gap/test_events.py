@@ -98,6 +98,24 @@ def test_a_push_behind_the_row_that_foresees_it_is_found(tmp_path, monkeypatch):
     assert impact.time_s == pytest.approx(2.5031, abs=0.005)
 
 
+def test_a_push_that_does_not_fit_at_its_row_is_tried_behind_it(tmp_path, monkeypatch):
+    """In one of 22 ms the likeliest row may be before its middle, and a jump there fits badly."""
+    size_up, sized = events._size_up, []
+
+    def unfit_at_first(machine, run, row, *others):
+        found = size_up(machine, run, row, *others)
+        sized.append(row)
+        if len(sized) > 1:
+            return found
+        early_s = run.t_s[row] - 0.01
+        return replace(found, time_s=early_s, misfit=11.3, explained=0.85)
+
+    monkeypatch.setattr(events, "_size_up", unfit_at_first)
+    (impact,) = found_in(tmp_path, (7.0, 0.0, 0.0))
+    assert impact.time_s == pytest.approx(2.5031, abs=0.005)
+    assert len(sized) == 3 and sorted(sized) == sized
+
+
 def test_a_push_long_before_the_row_that_shows_it_is_found_without_a_camera(tmp_path, monkeypatch):
     """While wheels slide encoders tell nothing of where the robot goes."""
     likeliest, push = events.Jumps.likeliest_row, (7.0, 0.0, 0.0)

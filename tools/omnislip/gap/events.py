@@ -192,12 +192,14 @@ def _impacts_in(machine: Machine, run: Run, values: Array, noise: Noise) -> list
         if explained[peak] >= HARD_EXPLAINED and by_friction[peak] < BY_FRICTION * ratio[peak]:
             row = pushes.likeliest_row(peak, ratio > threshold)
             impact = _size_up(machine, run, row, values, noise, filtered, jump[row])
-            if run.t_s[row] - impact.time_s < SPAN_S / TIMES:
-                # After a hard push g may be largest at a row that foresees it.
-                behind = min(row + int(np.ceil(SPAN_S / run.row_s)), len(run.t_s) - 2)
-                later = _size_up(machine, run, behind, values, noise, filtered, jump[behind])
-                if later.misfit < impact.misfit:
-                    row, impact = behind, later
+            if impact.misfit > MOST_MISFIT or run.t_s[row] - impact.time_s < SPAN_S / TIMES:
+                # After a hard push, or in a long one, g may be largest at a row that foresees it.
+                foreseen_s = run.t_s[row]
+                for later_s in (SPAN_S / 2.0, SPAN_S):
+                    behind = int(np.searchsorted(run.t_s[:-2], foreseen_s + later_s))
+                    later = _size_up(machine, run, behind, values, noise, filtered, jump[behind])
+                    if later.misfit < impact.misfit:
+                        row, impact = behind, later
             elif unseen and impact.time_s < run.t_s[row] - SPAN_S * (1.0 - 2.0 / TIMES):
                 begun = _begun(machine, run, pushes, peak, row, values, noise, filtered)
                 if begun:
