@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 from omnislip.gap import judge
-from omnislip.gap.inference import fit
+from omnislip.gap.inference import fit, weigh
 from omnislip.gap.judge import within_law
 from omnislip.gap.settle import believed_hypothesis, settle
 from omnislip.gap.truth import TruthCase
@@ -62,3 +62,26 @@ def test_the_friction_curve_owes_less_to_the_shapes_of_strong_effects(monkeypatc
     fitted = SimpleNamespace(hypothesis=SimpleNamespace(effects=(effect,)))
     evidence = SimpleNamespace(gain=27500.0, beyond_chance=3700.0)
     assert judge._left_by_shapes(None, None, fitted, 0, evidence) == left
+
+
+def test_what_a_delay_does_that_no_log_can_time_is_no_effect(tmp_path):
+    """0.3 ms, as the mean of two commands in a row leaves it; friction is not what that does."""
+    late = HiddenEffect("actuation_delay", {"delay_s": 3e-4}).as_dict()
+    rubs = HiddenEffect("coulomb_friction", {"torque_nm": 0.005}).as_dict()
+    case = TruthCase(seed=512, effects=(late, rubs), excitation="rich", runs=2, run_duration_s=4.0)
+    robot, runs, candidates = robot_runs(case, tmp_path)
+    friction = believed_hypothesis(robot).with_effect(candidates["coulomb_friction"], [0.005])
+    data, early = settle(robot, runs, friction)
+    timed = judge.beside_short_delay(data, early)
+    assert early.objective - timed.objective > 100.0
+    assert timed.hypothesis.x[-1] == pytest.approx(3e-4, rel=0.1)
+    assert judge.beside_short_delay(data, timed) is timed
+
+    def instead(name, size):
+        without = early if name != "coulomb_friction" else early.refitted_without(data, 0)
+        fitted = fit(data, without.hypothesis.with_effect(candidates[name], [size]))
+        evidence = weigh(data, without, fitted, -1)
+        return judge._short_delay_does(data, without, fitted, evidence)
+
+    assert instead("armature_inductance", 2e-4)
+    assert not instead("coulomb_friction", 0.005)

@@ -1,6 +1,6 @@
 """Whether a candidate is taken, or stays: the tests of chance, of other runs, and of shapes."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +20,7 @@ from omnislip.gap.inference import (
 from omnislip.gap.machine import CURVE, LESS_GRIP, Candidate
 from omnislip.gap.metrics import improvement, replay_all
 from omnislip.gap.noise import RunawayError
-from omnislip.gap.screen import neutral_sizes
+from omnislip.gap.screen import VISIBLE_GAIN, neutral_sizes
 from omnislip.gap.side_by_side import side_by_side
 
 Array = npt.NDArray[np.float64]
@@ -54,6 +54,7 @@ LITTLE_CURVED = 0.1
 """Share of every other law to start a free curve from."""
 WITHIN_LAW = "no more than friction is off its law on any floor"
 DELAY = "actuation_delay"
+LAGS = (DELAY, "driver_lag", "armature_inductance")
 
 
 @dataclass(frozen=True)
@@ -105,6 +106,8 @@ def judge_candidate(
         reason, passed = "helps the predictor but not replays of runs that were not fitted", False
     if passed and within_row(data, candidate, values):
         reason, passed = "shorter than the log can time: a tenth of a row", False
+    if passed and _short_delay_does(data, without, fitted, evidence):
+        reason, passed = "so does a delay that is shorter than the log can time", False
     return Trial(
         step, candidate, values, evidence, chance, check.gain, check.voters.any(), reason, passed
     )
@@ -232,13 +235,32 @@ def left_by_law(data: Data, without: Fit, fitted: Fit) -> float:
 def within_row(data: Data, candidate: Candidate, sizes: Array) -> bool:
     """Whether a lag is so short that it may be the averaging of the command over a row."""
     resistance = float(data.machine.model.values.get("motor.resistance_ohm", 1.0))
-    seconds = {
-        DELAY: sizes[0],
-        "driver_lag": sizes[0],
-        "armature_inductance": sizes[0] / resistance,
-    }
-    row_s = min(run.row_s for run in data.runs)
-    return seconds.get(candidate.effect, np.inf) < SHORTEST_LAG_ROWS * row_s
+    if candidate.effect not in LAGS:
+        return False
+    seconds = sizes[0] / (resistance if candidate.effect == "armature_inductance" else 1.0)
+    return bool(seconds < SHORTEST_LAG_ROWS * min(run.row_s for run in data.runs))
+
+
+def beside_short_delay(data: Data, fitted: Fit) -> Fit:
+    """Return the model with a delay so short that no log can time it, where commands act later.
+
+    A controller that ticks within rows leaves it: the mean of a row is of two commands, the later
+    one behind. It is no effect to be named, and what it explains is none either, known or unknown.
+    """
+    delays = [c for c in data.machine.candidates() if c.effect == DELAY]
+    if not delays or any(effect.effect in LAGS for effect in fitted.hypothesis.effects):
+        return fitted
+    [delay], longest_s = delays, SHORTEST_LAG_ROWS * min(run.row_s for run in data.runs)
+    [seconds] = delay.parameters
+    short = replace(delay, parameters=(replace(seconds, high=longest_s),))
+    later = fit(data, fitted.hypothesis.with_effect(short, [0.5 * longest_s]))
+    return later if later.objective < fitted.objective else fitted
+
+
+def _short_delay_does(data: Data, without: Fit, fitted: Fit, evidence: Evidence) -> bool:
+    """Whether a delay that no log can time explains as much in the place of the last effect."""
+    lost = beside_short_delay(data, without).objective - fitted.objective
+    return lost < VISIBLE_GAIN * evidence.inflation
 
 
 def differs_from_none(candidate: Candidate, sizes: Array, evidence: Evidence) -> bool:

@@ -32,6 +32,7 @@ from omnislip.gap.judge import (
     LEAST_PROMISE,
     MOST_EFFECTS,
     Trial,
+    beside_short_delay,
     drop_needless,
     judge_candidate,
     no_more_than_chance,
@@ -211,6 +212,10 @@ def search(
     progress("looking for what no effect explains")
     free = responses(data, final, dictionary(machine))
     leftover = find_leftover(data, final, free)
+    if leftover:
+        timed = beside_short_delay(data, final)
+        if timed is not final:
+            leftover = find_leftover(data, timed, responses(data, timed, dictionary(machine)))
     ladder = _ladder(data, base_values, final)
     selected = select_effects(data, final, free, compared)
     return Outcome(
