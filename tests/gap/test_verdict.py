@@ -271,3 +271,18 @@ def test_where_nothing_is_off_on_held_out_runs_a_name_has_to_be_stable(high, sta
     closed = Closed(None, None, None) if high is None else Closed(0.2, 0.1, high)
     table = SimpleNamespace(left=Left(0.1, 0.1), closed=closed, floor_source="repeated manoeuvres")
     assert closes_nothing(effects, table) != proven
+
+
+@pytest.mark.parametrize(
+    ("gain", "law", "named"), [(50.0, 1e4, False), (50.0, 40.0, True), (300.0, 1e4, True)]
+)
+def test_a_faint_change_of_the_friction_curve_is_no_gap_by_itself(gain, law, named):
+    """1 % of the way to another law; a floor is off by three."""
+    curve = replace(selected("contact_shape", gain), law_gain=law)
+    table = SimpleNamespace(
+        left=Left(0.1, 0.1), closed=Closed(None, None, None), floor_source="repeated manoeuvres"
+    )
+    assert closes_nothing([curve], table) != named
+    unstable = replace(selected("gyro_bias", 50.0), stability=0.8)
+    assert closes_nothing([curve, unstable], table) != named
+    assert not closes_nothing([curve, selected("gyro_bias", 50.0)], table)
