@@ -6,13 +6,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from omnislip.gap.inference import Evidence
+from omnislip.gap.judge import TOO_SHORT
 from omnislip.gap.leftover import Shape
 from omnislip.gap.machine import Machine
 from omnislip.gap.metrics import Closed, Left
 from omnislip.gap.plan import Manoeuvre, Separation
 from omnislip.gap.selected import Selected
 from omnislip.gap.verdict import closes_nothing, judge_outcome
-from omnislip.gap.words import advice, weak_names
+from omnislip.gap.words import advice, short_delay_words, weak_names
 from omnislip.model_file import NOMINAL_ROBOT, read_model
 
 ROBOT = Machine(read_model(NOMINAL_ROBOT))
@@ -245,6 +246,26 @@ def test_a_name_that_a_shape_a_little_wrong_would_leave_carries_a_caution():
     assert caution.startswith("gyro_bias is weak: the other effects would leave as much if they")
     assert "7 % off" in caution
     assert weak_names([]) == []
+
+
+def test_commands_that_surely_act_later_than_rows_can_time_are_told():
+    delay = next(c for c in ROBOT.candidates() if c.effect == "actuation_delay")
+
+    def told(gain, reason, *effects):
+        trial = SimpleNamespace(
+            candidate=delay,
+            values=np.array([4.5e-4]),
+            reason=reason,
+            evidence=Evidence(gain, 2.0, 0.0, np.eye(1), 0.0),
+        )
+        final = SimpleNamespace(hypothesis=SimpleNamespace(effects=effects))
+        return short_delay_words(SimpleNamespace(trials=[trial], final=final))
+
+    [caution] = told(1e4, TOO_SHORT)
+    assert caution.startswith("Commands act 0.45 ms later than their rows say")
+    assert told(1e4, f"by the noise that is left beside it: {TOO_SHORT}") == [caution]
+    assert told(100.0, TOO_SHORT) == told(1e4, "could be chance") == []
+    assert told(1e4, TOO_SHORT, delay) == []  # which holds it
 
 
 def test_rivals_come_with_what_to_drive_or_the_word_that_nothing_would_help():

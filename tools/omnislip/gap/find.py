@@ -67,6 +67,7 @@ from omnislip.gap.words import (
     jolt_words,
     one_wiring_words,
     only_held_out_words,
+    short_delay_words,
     undecided_words,
     unproven_words,
     unstable_words,
@@ -278,6 +279,7 @@ def _findings(
     cautions = [FEW_RUNS] if outcome.selected and split.how not in WHOLE_RUNS else []
     cautions += [unstable_words(one) for one in outcome.selected if one.stability < STABLE]
     cautions += weak_names(outcome.selected)
+    cautions += short_delay_words(outcome)
     cautions += [f"Besides, {unchecked}."] if unchecked else []
     cautions += [unproven] if unproven else []
     if verdict == "unknown_effect" and much_is_left(table, outcome.selected):

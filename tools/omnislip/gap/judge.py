@@ -50,6 +50,7 @@ stand for one of them beside another curve."""
 FRICTION_OVER_SLIP = (CURVE, *CURVES)
 LAW_ENTERS = (*FRICTION_OVER_SLIP, "bristle_relaxation")
 """Also what takes a part of what friction is off its law: bristles hold what friction allows."""
+TOO_SHORT = "shorter than the log can time: a tenth of a row"
 LITTLE_CURVED = 0.1
 """Share of every other law to start a free curve from."""
 WITHIN_LAW = "no more than friction is off its law on any floor"
@@ -105,7 +106,7 @@ def judge_candidate(
     if passed and replays and not _replays_better(data, without, fitted, check, sure):
         reason, passed = "helps the predictor but not replays of runs that were not fitted", False
     if passed and within_row(data, candidate, values):
-        reason, passed = "shorter than the log can time: a tenth of a row", False
+        reason, passed = TOO_SHORT, False
     if passed and _short_delay_does(data, without, fitted, evidence):
         reason, passed = "so does a delay that is shorter than the log can time", False
     return Trial(
@@ -234,11 +235,17 @@ def left_by_law(data: Data, without: Fit, fitted: Fit) -> float:
 
 def within_row(data: Data, candidate: Candidate, sizes: Array) -> bool:
     """Whether a lag is so short that it may be the averaging of the command over a row."""
-    resistance = float(data.machine.model.values.get("motor.resistance_ohm", 1.0))
-    if candidate.effect not in LAGS:
-        return False
-    seconds = sizes[0] / (resistance if candidate.effect == "armature_inductance" else 1.0)
-    return bool(seconds < SHORTEST_LAG_ROWS * min(run.row_s for run in data.runs))
+    return candidate.effect in LAGS and bool(sizes[0] < shortest_lag(data, candidate.effect))
+
+
+def shortest_lag(data: Data, effect: str) -> float:
+    """Return the size from which on a lag is longer than what averaging over a row does; else 0."""
+    if effect not in LAGS:
+        return 0.0
+    shortest_s = SHORTEST_LAG_ROWS * min(run.row_s for run in data.runs)
+    if effect != "armature_inductance":
+        return shortest_s
+    return shortest_s * float(data.machine.model.values.get("motor.resistance_ohm", 1.0))
 
 
 def beside_short_delay(data: Data, fitted: Fit) -> Fit:
@@ -250,7 +257,7 @@ def beside_short_delay(data: Data, fitted: Fit) -> Fit:
     delays = [c for c in data.machine.candidates() if c.effect == DELAY]
     if not delays or any(effect.effect in LAGS for effect in fitted.hypothesis.effects):
         return fitted
-    [delay], longest_s = delays, SHORTEST_LAG_ROWS * min(run.row_s for run in data.runs)
+    [delay], longest_s = delays, shortest_lag(data, DELAY)
     [seconds] = delay.parameters
     short = replace(delay, parameters=(replace(seconds, high=longest_s),))
     later = fit(data, fitted.hypothesis.with_effect(short, [0.5 * longest_s]))
@@ -259,8 +266,9 @@ def beside_short_delay(data: Data, fitted: Fit) -> Fit:
 
 def _short_delay_does(data: Data, without: Fit, fitted: Fit, evidence: Evidence) -> bool:
     """Whether a delay that no log can time explains as much in the place of the last effect."""
-    lost = beside_short_delay(data, without).objective - fitted.objective
-    return lost < VISIBLE_GAIN * evidence.inflation
+    timed = beside_short_delay(data, without)
+    lost = timed.objective - fitted.objective
+    return timed is not without and lost < VISIBLE_GAIN * evidence.inflation
 
 
 def differs_from_none(candidate: Candidate, sizes: Array, evidence: Evidence) -> bool:

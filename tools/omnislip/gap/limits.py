@@ -20,6 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from omnislip.gap.inference import Data, Fit, Hypothesis, absorbed, inflation_of
+from omnislip.gap.judge import shortest_lag
 from omnislip.gap.machine import Candidate
 from omnislip.gap.screen import VISIBLE_GAIN, Screened, neutral_sizes, possible_amounts, reach_of
 
@@ -66,7 +67,8 @@ def detection_limits(
         own, label = limits[probe.candidate.name], probe.candidate.parameters[probe.amplitude].label
         name = data.machine.file_parameter(label)
         if probe.reach:
-            own[name] = float(steps * abs(probe.reach))
+            shortest = shortest_lag(data, probe.candidate.effect)
+            own[name] = max(float(steps * abs(probe.reach)), shortest)
         elif steps <= 1.0:
             own[name] = max(own.get(name, 0.0), float(probe.sizes[probe.amplitude]))
     return limits

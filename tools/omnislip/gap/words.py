@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from omnislip.gap.events import Impact
+from omnislip.gap.judge import DELAY, LAGS, SURE_GAIN, TOO_SHORT
 from omnislip.gap.leftover import Leftover
 from omnislip.gap.machine import Machine
 from omnislip.gap.metrics import GapTable, Replays, gap_table
@@ -77,6 +78,24 @@ def unstable_words(one: Selected) -> str:
         f"{one.candidate.name} is the best name in only {100 * one.stability:.0f} % of resamples "
         "of the runs: a name may change with more."
     )
+
+
+def short_delay_words(outcome: Outcome) -> list[str]:
+    """Return the caution for commands that surely act later, but less than the rows can time."""
+    if any(effect.effect in LAGS for effect in outcome.final.hypothesis.effects):
+        return []
+    short = [
+        trial
+        for trial in outcome.trials
+        if trial.candidate.effect == DELAY
+        and trial.reason.endswith(TOO_SHORT)
+        and trial.evidence.beyond_chance > SURE_GAIN
+    ]
+    return [
+        f"Commands act {1e3 * trial.values[0]:.2g} ms later than their rows say, which a "
+        "controller that ticks within the rows may do as well: no delay is named."
+        for trial in short[-1:]
+    ]
 
 
 def weak_names(selected: Sequence[Selected]) -> list[str]:
