@@ -61,6 +61,7 @@ def detection_limits(
     probes = [probe for one in screened for probe in _probes(data, fitted.hypothesis, one)]
     most = np.array([probe.most for probe in probes])
     near = np.minimum(_seen_from(data, fitted, probes, np.ones(len(probes)), within=True), most)
+    near[[not probe.reach for probe in probes]] = 1.0  # those are as large as they are
     found = _seen_from(data, fitted, probes, near, within=False)
     limits: dict[str, dict[str, float]] = {one.candidate.name: {} for one in screened}
     for probe, steps in zip(probes, found, strict=True):
@@ -133,9 +134,8 @@ def _seen_from(
         rest = fitted.residual - left[:, 0] * (left[:, 0] @ fitted.residual) / gain
         least = visible * inflation_of(data, left, rest, np.array([[gain]]))
         found[k] = tried[k] * np.sqrt(least / gain)
-        if held[
-            k
-        ].any():  # `tried` would be right with free keys; from the bound on the gain is more
+        if held[k].any() and gain > least:
+            # `tried` would be the limit if keys were free; from their bound on the gain is more.
             free = least * (bound[k] / tried[k]) ** 2
             share = (least - free) / max(gain - free, least - free)
             found[k] = bound[k] + np.sqrt(share) * (tried[k] - bound[k])
