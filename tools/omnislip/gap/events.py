@@ -192,7 +192,7 @@ def _impacts_in(machine: Machine, run: Run, values: Array, noise: Noise) -> list
         if explained[peak] >= HARD_EXPLAINED and by_friction[peak] < BY_FRICTION * ratio[peak]:
             row = pushes.likeliest_row(peak, ratio > threshold)
             impact = _size_up(machine, run, row, values, noise, filtered, jump[row])
-            if impact.misfit > MOST_MISFIT or run.t_s[row] - impact.time_s < SPAN_S / TIMES:
+            if not impact.confirmed or run.t_s[row] - impact.time_s < SPAN_S / TIMES:
                 # After a hard push, or in a long one, g may be largest at a row that foresees it.
                 foreseen_s = run.t_s[row]
                 for later_s in (SPAN_S / 2.0, SPAN_S):
