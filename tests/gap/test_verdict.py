@@ -136,6 +136,7 @@ def test_a_friction_law_that_leaves_something_is_the_usual_case(error, verdict):
 def test_what_is_refused_is_something_where_it_gains_more_than_anything_feigns(
     gain, feigned_gain, named, verdict
 ):
+    """Not a lag that no log can time: when in a row controllers tick may differ from run to run."""
     evidence = Evidence(gain, 1.0, 0.0, np.eye(1), 0.0)
     refused = SimpleNamespace(
         step=1,
@@ -144,10 +145,17 @@ def test_what_is_refused_is_something_where_it_gains_more_than_anything_feigns(
         validation_gain=-1.0,
         evidence=evidence,
         candidate=SimpleNamespace(effect="coulomb_friction"),
+        values=np.array([0.01]),
         chance=0.0,
     )
+    short = replace_namespace(
+        refused,
+        evidence=Evidence(1e6, 1.0, 0.0, np.eye(1), 0.0),
+        candidate=SimpleNamespace(effect="driver_lag"),
+        values=np.array([6e-4]),  # of rows of 5 ms
+    )
     effects = [selected("coulomb_friction", named)] if named else []
-    assert verdict_of(effects, feigned_gain=feigned_gain, trials=(refused,)) == verdict
+    assert verdict_of(effects, feigned_gain=feigned_gain, trials=(refused, short)) == verdict
 
 
 @pytest.mark.parametrize(

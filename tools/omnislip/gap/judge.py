@@ -35,7 +35,8 @@ LEAST_PROMISE = 8.0
 """Promised gain below which no refit could bring a candidate past the threshold of chance."""
 EQUAL = 1.0
 """Gains that differ by less are the same."""
-SHORTEST_LAG_ROWS = 0.1
+SHORTEST_LAG_ROWS = 0.125
+"""A command that jumps at a share p of a row is p (1 - p) / 2 rows behind what its mean says."""
 SURE_GAIN = 200.0
 """Gain beyond chance that no chance gives: something is there, though perhaps not alone or not
 under this name."""
@@ -50,7 +51,7 @@ stand for one of them beside another curve."""
 FRICTION_OVER_SLIP = (CURVE, *CURVES)
 LAW_ENTERS = (*FRICTION_OVER_SLIP, "bristle_relaxation")
 """Also what takes a part of what friction is off its law: bristles hold what friction allows."""
-TOO_SHORT = "shorter than the log can time: a tenth of a row"
+TOO_SHORT = "shorter than the log can time: an eighth of a row"
 LITTLE_CURVED = 0.1
 """Share of every other law to start a free curve from."""
 WITHIN_LAW = "no more than friction is off its law on any floor"

@@ -170,8 +170,18 @@ def no_chance(found: Predictable) -> bool:
 
 
 def surely_refused(outcome: Outcome) -> Trial | None:
-    """Return what was refused last because it spoilt the other runs, if it is sure."""
-    return _surest(outcome, lambda trial: trial.checked and trial.validation_gain <= 0)
+    """Return what was refused last because it spoilt the other runs, if it is sure.
+
+    A lag that no log can time may be another in each run: of when in a row its controller ticked.
+    """
+    return _surest(
+        outcome,
+        lambda trial: (
+            trial.checked
+            and trial.validation_gain <= 0
+            and not within_row(outcome.data, trial.candidate, trial.values)
+        ),
+    )
 
 
 def refused_in_places(outcome: Outcome, table: GapTable) -> Trial | None:
