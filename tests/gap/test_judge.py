@@ -85,3 +85,16 @@ def test_what_a_delay_does_that_no_log_can_time_is_no_effect(tmp_path):
 
     assert instead("armature_inductance", 2e-4)
     assert not instead("coulomb_friction", 0.005)
+
+
+@pytest.mark.parametrize(
+    ("gain", "of_delay", "instead"),
+    [(500.0, 490.0, True), (500.0, 400.0, False), (20.0, 5.0, False)],
+)
+def test_a_weak_effect_gives_way_to_no_delay_that_does_not_show(
+    monkeypatch, gain, of_delay, instead
+):
+    without, timed, fitted = (SimpleNamespace(objective=-one) for one in (0.0, of_delay, gain))
+    monkeypatch.setattr(judge, "beside_short_delay", lambda *_: timed)
+    evidence = SimpleNamespace(inflation=1.0)
+    assert judge._short_delay_does(None, without, fitted, evidence) == instead

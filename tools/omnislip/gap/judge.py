@@ -266,10 +266,10 @@ def beside_short_delay(data: Data, fitted: Fit) -> Fit:
 
 
 def _short_delay_does(data: Data, without: Fit, fitted: Fit, evidence: Evidence) -> bool:
-    """Whether a delay that no log can time explains as much in the place of the last effect."""
-    timed = beside_short_delay(data, without)
-    lost = timed.objective - fitted.objective
-    return timed is not without and lost < VISIBLE_GAIN * evidence.inflation
+    """Whether a delay that no log can time shows, and as much, in the place of the last effect."""
+    timed, visible = beside_short_delay(data, without), VISIBLE_GAIN * evidence.inflation
+    gain, lost = without.objective - timed.objective, timed.objective - fitted.objective
+    return gain > visible and lost < visible
 
 
 def differs_from_none(candidate: Candidate, sizes: Array, evidence: Evidence) -> bool:
