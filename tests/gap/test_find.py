@@ -16,12 +16,13 @@ from omnislip.errors import InputError
 from omnislip.gap import find, first_models
 from omnislip.gap.find import find_gap
 from omnislip.gap.findings import to_json, write_results
+from omnislip.gap.machine import Machine
 from omnislip.gap.metrics import Closed, Left
 from omnislip.gap.truth import TruthCase, write_case
 from omnislip.gap.truth_effects import HiddenEffect, typical_effect
 from omnislip.gap.words import HELD_COMMANDS
 from omnislip.log_file import Log, write_log
-from omnislip.model_file import read_model
+from omnislip.model_file import NOMINAL_ROBOT, read_model
 from truth_bench import robot_log, stretches
 
 AXIS_BENCH = Bench(coulomb_n=2.0)
@@ -417,9 +418,27 @@ def test_a_model_that_lacks_more_than_the_last_one_does_not_take_its_answer_back
     monkeypatch, effects, again
 ):
     monkeypatch.setattr(first_models, "likelier_held", lambda *_: 1e3)
-    machine = SimpleNamespace(holds_commands=False, believed=None)
+    machine = Machine(read_model(NOMINAL_ROBOT))
     model = SimpleNamespace(effects=[None] * effects, flat=lambda believed: believed)
-    assert first_models.takes_commands_wrongly(machine, [], 2, model, None) == again
+    found = first_models.taken_rightly(machine, [], 2, model, None)
+    assert (found is not None) == again
+    assert not again or found.holds_commands
+
+
+@pytest.mark.parametrize("with_rows", [False, True])
+@pytest.mark.parametrize("likelier", [-200.0, -50.0, 50.0, 200.0])
+def test_a_better_model_may_say_that_held_commands_jump_otherwise(monkeypatch, with_rows, likelier):
+    monkeypatch.setattr(first_models, "likelier_held", lambda *_: 50.0)
+    monkeypatch.setattr(first_models, "likelier_with_rows", lambda *_: likelier)
+    model = read_model(NOMINAL_ROBOT)
+    machine = Machine(model, holds_commands=True, jumps_with_rows=with_rows)
+    better = SimpleNamespace(effects=[None], flat=lambda believed: believed)
+    found = first_models.taken_rightly(machine, [], 1, better, None)
+    if abs(likelier) < 100.0 or (likelier > 0.0) == with_rows:
+        assert found is None
+    else:
+        assert found.holds_commands
+        assert found.jumps_with_rows == (not with_rows)
 
 
 def test_pushes_where_rows_are_missing_are_parted_from_those_that_can_be_told():

@@ -23,6 +23,7 @@ from omnislip.model_file import NOMINAL_ROBOT, read_model
 from truth_bench import logs_of
 
 ROBOT = Machine(read_model(NOMINAL_ROBOT))
+HOLDING = ROBOT.of(ROBOT.model, holds_commands=True)
 RAD_PER_COUNT = 2 * np.pi / 2000
 SHAFT_PER_RIM = 12.0 / 0.05
 HEADING_RAD = 3.0
@@ -314,6 +315,37 @@ def test_no_other_row_is_parted(duty):
     run = make_run(ROBOT, driven(duty))
     assert run.jumped.size == 0
     np.testing.assert_array_equal(run.command, duty)
+
+
+@pytest.mark.parametrize("lost", [False, True])
+def test_a_controller_that_acts_where_rows_begin_jumps_nowhere_else(lost):
+    """But in a row beside a lost one, which holds the mean of two commands. And all the way back.
+
+    Jumps in rows 6 and 12; where a row is lost, behind the second.
+    """
+    before, after = np.array([0.1, 0.4, -0.2, 0.0]), np.array([-0.6, 0.5, 0.8, 0.3])
+    mean = 0.3 * before + 0.7 * after
+    duty = np.vstack([[before] * 6, [mean], [after] * 5, [mean], [before] * 7])
+    t_s = 0.005 * (np.arange(20) + (lost & (np.arange(20) > 12)))
+    log = driven(duty, t_s)
+    run = make_run(HOLDING, log)
+    whole = make_run(HOLDING.of(HOLDING.model, jumps_with_rows=True), log)
+    assert run.jumped.tolist() == whole.jumped.tolist() == [7, 14]
+    np.testing.assert_allclose(
+        run.command[[6, 7, 13, 14]], [before, after, after, before], atol=1e-12
+    )
+    np.testing.assert_allclose(whole.command[[6, 7]], [mean, mean])
+    np.testing.assert_allclose(
+        whole.command[[13, 14]], [after, before] if lost else [mean, mean], atol=1e-12
+    )
+    np.testing.assert_allclose(whole.logged_command, duty, atol=1e-12)
+    assert not whole.rise.any()
+    for back in (whole.held_in_rows(), whole.set_with_rows().held_in_rows()):
+        np.testing.assert_array_equal(back.command, run.command)
+    moving = make_run(ROBOT, log)
+    np.testing.assert_array_equal(whole.moving_in_rows().command, moving.command)
+    np.testing.assert_array_equal(whole.moving_in_rows().rise, moving.rise)
+    assert not whole.moving_in_rows().held
 
 
 def test_a_log_of_three_rows_has_no_jump():

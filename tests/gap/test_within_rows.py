@@ -9,7 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from omnislip.gap import answers
 from omnislip.gap import truth as truth_module
-from omnislip.gap.answers import likelier_held
+from omnislip.gap.answers import likelier_held, likelier_with_rows
+from omnislip.gap.first_models import SURELY_MISTAKEN
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import first_guess, track_all, tune_noise
 from omnislip.gap.truth import TruthCase
@@ -132,6 +133,40 @@ def test_the_motion_tells_whether_a_programme_moves_within_rows(excitation, monk
 
     monkeypatch.setattr(truth_module, "feed_forward_duty", held)
     assert asked(excitation=excitation)
+
+
+@pytest.mark.parametrize("with_rows", [False, True])
+@pytest.mark.parametrize("seed", [8, 9])
+def test_the_motion_tells_whether_held_commands_jump_where_rows_begin(seed, with_rows, monkeypatch):
+    """Steps of a programme every 0.2 s, and the means of its rows held: the log is the same."""
+    smooth = truth_module.feed_forward_duty
+    rng = np.random.default_rng(seed)
+
+    def steps(*given):
+        ticks = len(smooth(*given))
+        begins = np.arange(200, ticks, 200)
+        begins += rng.integers(0, 5, len(begins))
+        levels = rng.uniform(-0.5, 0.5, (len(begins) + 1, 4))
+        duty = levels[np.searchsorted(begins, np.arange(ticks), side="right")]
+        if with_rows:
+            whole = ticks // 5 * 5
+            duty[:whole] = np.repeat(duty[:whole].reshape(-1, 5, 4).mean(axis=1), 5, axis=0)
+        return duty
+
+    monkeypatch.setattr(truth_module, "feed_forward_duty", steps)
+    case = TruthCase(seed=seed, runs=2, run_duration_s=4.0, base_offset_sd=0.0, disorder=0.0)
+    runs = runs_of(HOLDING, case)
+    assert all(run.jumped.size > 5 for run in runs)
+    noise = tune_noise(HOLDING, runs, HOLDING.believed)
+    likelier = likelier_with_rows(HOLDING, runs, HOLDING.believed, noise)
+    assert (likelier if with_rows else -likelier) > SURELY_MISTAKEN
+
+
+def test_where_nothing_jumps_the_motion_tells_nothing_of_it():
+    runs = runs_of(HOLDING, TruthCase(seed=8, runs=1, run_duration_s=2.0))
+    noise = first_guess(HOLDING, runs)
+    assert not runs[0].jumped.size
+    assert likelier_with_rows(HOLDING, runs, HOLDING.believed, noise) == 0.0
 
 
 def test_a_controller_faster_than_the_rows_moves_commands_within_them():

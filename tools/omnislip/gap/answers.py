@@ -24,7 +24,8 @@ and Stoica, Instrumental variable methods for system identification, 1983; Woold
 analysis of cross section and panel data, chapter 5.)
 
 Nor is chance how a command moves within a row (rows.py). A controller that is as slow as the rows
-holds it, and one that is faster moves it as the means tell: `likelier_held` asks the motion which.
+holds it, and one that is faster moves it as the means tell: `likelier_held` asks the motion which,
+`likelier_with_rows` whether what is held jumps within rows or where they begin.
 Where commands are taken as held, how far they rise all the same is taken out of r: w, what is
 changed by commands that rise at the rate of their means, times how far they do, by the same
 instruments -w~'r / w~'w, between 0 and 1.
@@ -80,7 +81,7 @@ ROW_BY_ROW = 0.05
 what was measured at its begin: 0.12 to 0.42 of such controllers, up to 0.02 of those at 1 kHz,
 whose rows mostly answer what happens within them."""
 MOST_OF_A_RUN = 2.0
-"""How much of what half of the runs reach, or more, one of them may tell whether commands are held.
+"""How much of what half of the runs reach, or more, one of them may tell how commands move.
 All are of one controller; in one wheels broke loose a moment later than beside a model, and it told
 1,400 the other way."""
 CREEP_RAD_S = 2.0
@@ -209,18 +210,35 @@ def likelier_held(machine: Machine, runs: Sequence[Run], values: Array, noise: N
         return -np.inf
     tracks = track_all(machine, runs, values, noise, keep_linear=True)
     moved = np.array([track.log_likelihood for track in tracks])
-    follows = np.isfinite(moved).all()
-    if follows and news_of(machine, runs, tracks).share > ROW_BY_ROW:
+    if np.isfinite(moved).all() and news_of(machine, runs, tracks).share > ROW_BY_ROW:
         return np.inf
-    held = [run.held_in_rows() for run in runs]
-    still = np.array([track.log_likelihood for track in track_all(machine, held, values, noise)])
-    still_follows = np.isfinite(still).all()
-    if not follows:  # the filter lost the robot
-        return np.inf if still_follows else 0.0
-    if not still_follows:
+    return _likelier(moved, _likelihoods(machine, [r.held_in_rows() for r in runs], values, noise))
+
+
+def likelier_with_rows(machine: Machine, runs: Sequence[Run], values: Array, noise: Noise) -> float:
+    """Return by how much (log) the motion is likelier if held commands jump where rows begin.
+
+    A controller that leads a step of its set point over a row gives all wheels a mean of what was
+    before and after, as a jump within the row does.
+    """
+    runs = [run for run in runs if (run.parted or run).jumped.size]
+    parted = _likelihoods(machine, [run.held_in_rows() for run in runs], values, noise)
+    whole = _likelihoods(machine, [run.set_with_rows() for run in runs], values, noise)
+    return _likelier(parted, whole)
+
+
+def _likelihoods(machine: Machine, runs: Sequence[Run], values: Array, noise: Noise) -> Array:
+    return np.array([track.log_likelihood for track in track_all(machine, runs, values, noise)])
+
+
+def _likelier(one: Array, other: Array) -> float:
+    """By how much the other of two log-likelihoods (runs,) is larger, no run telling it all."""
+    if not np.isfinite(one).all():  # the filter lost the robot
+        return np.inf if np.isfinite(other).all() else 0.0
+    if not np.isfinite(other).all():
         return -np.inf
-    likelier = still - moved
-    most = MOST_OF_A_RUN * np.median(np.abs(likelier))
+    likelier = other - one
+    most = MOST_OF_A_RUN * np.median(np.abs(likelier)) if likelier.size else 0.0
     return float(np.sum(np.clip(likelier, -most, most)))
 
 

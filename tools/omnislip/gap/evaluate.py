@@ -25,9 +25,9 @@ from pathlib import Path
 from typing import Any
 
 from omnislip.errors import InputError
-from omnislip.gap.answers import likelier_held
+from omnislip.gap.answers import likelier_held, likelier_with_rows
 from omnislip.gap.events import LEAST_PIECE_S, known_pushes
-from omnislip.gap.first_models import acting_late, acts_late
+from omnislip.gap.first_models import acting_late, acts_late, taken_as
 from omnislip.gap.gates import check, rows_far_apart
 from omnislip.gap.metrics import gap_table, replay_all
 from omnislip.gap.noise import judging_noise, tune_noise
@@ -90,8 +90,15 @@ def evaluate_model(
         told += [HELD_COMMANDS, READ_BEFORE]
     elif likelier_held(machine, some, machine.believed, noise) > 0.0:
         machine = machine.of(model, holds_commands=True)
-        runs = [run.held_in_rows() for run in runs]
+        runs = taken_as(machine, runs)
         told.append(HELD_COMMANDS)
+        noise = tune_noise(machine, runs, machine.believed)
+    if (
+        machine.holds_commands
+        and likelier_with_rows(machine, runs[::every], machine.believed, noise) > 0.0
+    ):
+        machine = machine.of(model, jumps_with_rows=True)
+        runs = taken_as(machine, runs)
         noise = tune_noise(machine, runs, machine.believed)
     noise = judging_noise(machine, runs, machine.believed, noise)
     progress("replaying")

@@ -22,7 +22,7 @@ from omnislip.gap.events import (
     too_often,
 )
 from omnislip.gap.findings import CANNOT_BE_USED, NOT_ENOUGH, Findings, Step
-from omnislip.gap.first_models import first_models, other_commands, takes_commands_wrongly
+from omnislip.gap.first_models import first_models, taken_as, taken_rightly
 from omnislip.gap.gates import check, logged_set_points, too_poor
 from omnislip.gap.inference import Data, Hypothesis, fit
 from omnislip.gap.inverse import relative_force_error
@@ -190,17 +190,15 @@ def _search(recorded: _Recorded, progress: Progress) -> _Searched:
         split = split_runs(machine, logs, pushes)
         if not split.enough:
             raise _InsufficientError(too_cut(split))
-        mistaken = partial(takes_commands_wrongly, machine, split.fitting, least) if left else None
+        rightly = partial(taken_rightly, machine, split.fitting, least) if left else None
         try:
             outcome = search(
-                machine, split.fitting, noise, progress, first.without_effects(), mistaken, outcome
+                machine, split.fitting, noise, progress, first.without_effects(), rightly, outcome
             )
         except MistakenError as error:
-            least = error.effects
-            fitting = other_commands(machine, split.fitting)
-            machine = machine.of(machine.model, holds_commands=not machine.holds_commands)
+            least, machine = error.effects, error.machine
             progress(f"again with duties {'held' if machine.holds_commands else 'moving'} in rows")
-            noise, first = first_model(machine, fitting, (noise, first))
+            noise, first = first_model(machine, taken_as(machine, split.fitting), (noise, first))
             outcome = None
             runs, impacts = _pushes_beside(machine, logs, cuts, first, noise)
             continue

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from omnislip.gap.answers import likelier_held
+from omnislip.gap.answers import likelier_held, likelier_with_rows
 from omnislip.gap.inference import Hypothesis
 from omnislip.gap.judge import DELAY
 from omnislip.gap.machine import Machine
@@ -26,6 +26,16 @@ def first_models(machine: Machine, runs: Sequence[Run]) -> tuple[Machine, Noise,
 
     What is surely likelier shows by one tuning of the noise.
     """
+    machine, noise, first = _held_or_moving(machine, runs)
+    if machine.holds_commands:
+        values = first.flat(machine.believed)
+        if likelier_with_rows(machine, runs, values, noise) > 0.0:
+            machine = machine.of(machine.model, jumps_with_rows=True)
+            noise, first = first_model(machine, taken_as(machine, runs), (noise, first))
+    return machine, noise, first
+
+
+def _held_or_moving(machine: Machine, runs: Sequence[Run]) -> tuple[Machine, Noise, Hypothesis]:
     if machine.reads_before:
         noise, first = first_model(machine, runs)
         if not acts_late(machine, runs, noise, first):
@@ -37,11 +47,8 @@ def first_models(machine: Machine, runs: Sequence[Run]) -> tuple[Machine, Noise,
         noise, first = first_model(machine, runs, (noise, first), FEW_TUNINGS - 1)
         held = likelier_held(machine, runs, first.flat(machine.believed), noise) > 0.0
     if held:
-        machine, runs = (
-            machine.of(machine.model, holds_commands=True),
-            other_commands(machine, runs),
-        )
-        noise, first = first_model(machine, runs, (noise, first))
+        machine = machine.of(machine.model, holds_commands=True)
+        noise, first = first_model(machine, taken_as(machine, runs), (noise, first))
     return machine, noise, first
 
 
@@ -78,24 +85,30 @@ def _read_after(runs: Sequence[Run]) -> list[Run]:
     return [replace(run, recording=run.recording.reading_before(False)) for run in runs]
 
 
-def takes_commands_wrongly(
+def taken_rightly(
     machine: Machine, runs: Sequence[Run], least: int, model: Hypothesis, noise: Noise
-) -> bool:
-    """Whether a model shows that commands within rows are not what a first one took them for.
+) -> Machine | None:
+    """Return the robot whose commands move as a model surely shows, if not as a first one did.
 
     One with fewer effects than the `least`, those of the model that spoke last, has no say: what it
     lacks moves commands within rows, too.
     """
     if len(model.effects) < least:
-        return False
+        return None
     values = model.flat(machine.believed)
-    if not machine.holds_commands:
-        return likelier_held(machine, runs, values, noise) > SURELY_MISTAKEN
     moving = machine.of(machine.model, holds_commands=False)
-    likelier = likelier_held(moving, other_commands(machine, runs), values, noise)
-    return -likelier > SURELY_MISTAKEN
+    held = likelier_held(moving, taken_as(moving, runs), values, noise)
+    if machine.holds_commands:
+        if -held > SURELY_MISTAKEN:
+            return moving
+        with_rows = likelier_with_rows(machine, runs, values, noise)
+        if (-with_rows if machine.jumps_with_rows else with_rows) > SURELY_MISTAKEN:
+            return machine.of(machine.model, jumps_with_rows=not machine.jumps_with_rows)
+    elif held > SURELY_MISTAKEN:
+        return machine.of(machine.model, holds_commands=True)
+    return None
 
 
-def other_commands(machine: Machine, runs: Sequence[Run]) -> list[Run]:
-    """Return runs with their commands moving within rows where they are held, and held if not."""
-    return [r.moving_in_rows() if machine.holds_commands else r.held_in_rows() for r in runs]
+def taken_as(machine: Machine, runs: Sequence[Run]) -> list[Run]:
+    """Return runs with commands that move as those of this robot do."""
+    return [run.taken_as(machine) for run in runs]

@@ -147,8 +147,9 @@ class Machine:
     """The believed machine: flat values, the engine that replays it, and what may be fitted.
 
     An `electric` robot's outputs hold bus voltage and motor currents too. One that
-    `holds_commands` within the rows of its logs has a controller as slow as they are; one that
-    `reads_before` it acts shows currents and voltage under the command of the row before.
+    `holds_commands` within the rows of its logs has a controller as slow as they are, and whose
+    command `jumps_with_rows` one that acts where they begin; one that `reads_before` it acts shows
+    currents and voltage under the command of the row before.
     """
 
     def __init__(
@@ -157,6 +158,7 @@ class Machine:
         electric: bool = False,
         holds_commands: bool = False,
         reads_before: bool = False,
+        jumps_with_rows: bool = False,
     ) -> None:
         self.model = model
         self.kind = model.kind
@@ -165,6 +167,7 @@ class Machine:
         self.electric = electric
         self.holds_commands = holds_commands
         self.reads_before = reads_before
+        self.jumps_with_rows = jumps_with_rows
         self.wheels = len(model.values.get(f"{model.kind}.wheel_angles_deg", [0.0]))
         """Wheels of the machine; an axis counts as one."""
         self.catalogue = {e["name"]: e for e in model.catalogue if model.kind in e["kinds"]}
@@ -172,12 +175,17 @@ class Machine:
         self.believed = self._flat_values()
 
     def of(
-        self, model: Model, holds_commands: bool | None = None, reads_before: bool | None = None
+        self,
+        model: Model,
+        holds_commands: bool | None = None,
+        reads_before: bool | None = None,
+        jumps_with_rows: bool | None = None,
     ) -> "Machine":
         """Return the machine of another model; sensors and, if not said, controller stay."""
         held = self.holds_commands if holds_commands is None else holds_commands
         before = self.reads_before if reads_before is None else reads_before
-        return Machine(model, self.electric, held, before)
+        with_rows = self.jumps_with_rows if jumps_with_rows is None else jumps_with_rows
+        return Machine(model, self.electric, held, before, with_rows and held)
 
     def recording(
         self,

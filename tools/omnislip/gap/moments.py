@@ -30,7 +30,7 @@ from omnislip.gap.noise import (
     no_load_speed_rad_s,
     stall_acceleration_rad_s2,
 )
-from omnislip.gap.recordings import Run
+from omnislip.gap.recordings import LOST, Run
 from omnislip.gap.side_by_side import side_by_side
 
 Array = npt.NDArray[np.float64]
@@ -42,8 +42,6 @@ exceed the 80th percentile of its run."""
 RINGS_S = 0.05
 """For which a soft gear rings (12 N m/rad at a shaft: 40 ms)."""
 LEAST_MOMENTS, LEAST_LOGS = 3, 2
-LOST = 1.5
-"""Rows after which the next one comes late."""
 
 
 @dataclass(frozen=True)

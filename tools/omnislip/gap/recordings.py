@@ -29,6 +29,8 @@ ELECTRIC_CHANNELS = ("supply/voltage_v", *(f"wheel/{wheel}/current_a" for wheel 
 ODOMETRY_CHANNELS = ("pose/forward_m", "pose/lateral_m", "pose/theta_rad")
 """Errors of an odometry are told along and across the robot (`body_errors`)."""
 PAST_S = 0.1
+LOST = 1.5
+"""Rows after which the next one comes late."""
 SLOW_M_S = 0.1
 """Speed of a wheel's rim below which a robot is as good as at rest."""
 SLIDING_M_S = 0.2
@@ -68,6 +70,8 @@ class Run:
     """Whether a robot is known to stand in the first row."""
     held: bool = True
     """Whether commands are held within rows; else they rise there as their means tell."""
+    parted: "Run | None" = None
+    """Of a run whose commands jump where rows begin: itself if they jumped within rows."""
 
     @property
     def time_s(self) -> Array:
@@ -117,11 +121,33 @@ class Run:
 
     def moving_in_rows(self) -> "Run":
         """Return the run as if commands moved within rows as the means of those tell."""
-        return replace(self, held=False).commanded(self.command)
+        run = self.parted or self
+        return replace(run, held=False).commanded(run.command)
 
     def held_in_rows(self) -> "Run":
-        """Return the run as if commands had been held within rows."""
-        return replace(self, held=True, recording=self.recording.rising(0.0 * self.command))
+        """Return the run as if commands had been held within rows, but for jumps there."""
+        run = self.parted or self
+        return replace(run, held=True, recording=run.recording.rising(0.0 * run.command))
+
+    def set_with_rows(self) -> "Run":
+        """Return the run as if commands had been held and jumped where rows begin.
+
+        Rows beside lost ones are means of several commands: there they jump as the means tell.
+        """
+        run = self.held_in_rows()
+        length_s = np.append(np.diff(run.t_s), run.row_s)
+        second = run.jumped[length_s[run.jumped - 1] + length_s[run.jumped] < LOST * run.row_s]
+        command = run.command.copy()
+        share = (length_s[second] / (length_s[second - 1] + length_s[second]))[:, None]
+        mean = (1.0 - share) * command[second - 1] + share * command[second]
+        command[second - 1] = command[second] = mean
+        return replace(run.commanded(command), parted=run)
+
+    def taken_as(self, machine: Machine) -> "Run":
+        """Return the run with commands that move as those of this robot do."""
+        if machine.jumps_with_rows:
+            return self.set_with_rows()
+        return self.held_in_rows() if machine.holds_commands else self.moving_in_rows()
 
 
 def make_run(machine: Machine, log: Log, begin: int = 0, end: int | None = None) -> Run:
@@ -168,9 +194,7 @@ def make_run(machine: Machine, log: Log, begin: int = 0, end: int | None = None)
         jumped,
         at_rest,
     )
-    if machine.kind != "robot" or machine.holds_commands:
-        return run
-    return run.moving_in_rows()
+    return run.taken_as(machine) if machine.kind == "robot" else run
 
 
 def first_pose(log: Log, begin: int, end: int) -> int:

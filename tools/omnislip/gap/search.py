@@ -101,11 +101,11 @@ class Outcome:
 
 
 class MistakenError(Exception):
-    """A better model, with so many `effects`, shows that runs are not what they were taken for."""
+    """A better model, with so many `effects`, shows that runs are those of another `machine`."""
 
-    def __init__(self, effects: int) -> None:
+    def __init__(self, effects: int, machine: Machine) -> None:
         super().__init__()
-        self.effects = effects
+        self.effects, self.machine = effects, machine
 
 
 def search(
@@ -114,14 +114,14 @@ def search(
     noise: Noise | None,
     progress: Progress,
     start: Hypothesis | None = None,
-    mistaken: Callable[[Hypothesis, Noise], bool] | None = None,
+    rightly: Callable[[Hypothesis, Noise], Machine | None] | None = None,
     before: Outcome | None = None,
 ) -> Outcome:
     """Find the missing effects on runs of two units or more.
 
     From a first `noise` and believed keys `start` that fit better than the file's, or none.
-    `mistaken` is asked, by each better model and its noise, whether what the runs were taken for
-    was wrong; then MistakenError is raised. `before`: what was found when other pushes were cut out
+    `rightly` is asked, by each better model and its noise, whether the runs are those of another
+    machine; then MistakenError is raised. `before`: what was found when other pushes were cut out
     of the same logs, to go on from if all of that holds.
     """
     candidates = machine.candidates_for(runs)
@@ -187,8 +187,9 @@ def search(
         except RunawayError:
             trials = [_lost(trial) if trial.step == step else trial for trial in trials]
             break
-        if mistaken is not None and mistaken(current.hypothesis, data.noise):
-            raise MistakenError(len(current.hypothesis.effects))
+        other = rightly(current.hypothesis, data.noise) if rightly is not None else None
+        if other is not None:
+            raise MistakenError(len(current.hypothesis.effects), other)
         settled = current
         data, current = patch_settled(data, extend_effects(machine, data, current))
         current = drop_needless(data, current, tried)

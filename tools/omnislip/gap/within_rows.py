@@ -4,7 +4,11 @@
 wheels jump at once, so with levels a before and b after, the row's means m tell when: b - m = share
 (b - a) for every wheel. Such a row becomes two, and nothing is measured where the second begins.
 Taken as held, a jump to full duty leaves wheels that slide 0.1 m/s from where they are, which no
-filter takes for chance. (Harten's subcell resolution, J. Comput. Phys. 1989.)
+filter takes for chance. (Harten's subcell resolution, J. Comput. Phys. 1989.) A controller that
+sets its command where rows begin and leads a step of its set point over one gives all wheels a mean
+of before and after, too: parted, that row pulls wheels 14 rad/s from where they are, which looked
+like a delay of 0.2 ms or a limit of the current. Of held commands the motion tells which it is
+(answers.py).
 
 **Rises.** The way C(t) of a command, its integral, is known at the ends of the rows: its slope
 there, by the polynomial of degree 4 through five such ends, is the command where rows meet, kept
