@@ -185,6 +185,18 @@ def test_floor_is_the_predictors_when_nothing_is_repeated():
     assert table.floor_source == "the predictor's noise"
 
 
+@pytest.mark.parametrize(("sizes", "usual"), [([0.8, 1.4, 1.0], 0.96), ([0.8, 2.0, 1.6], 0.0)])
+def test_what_a_model_usually_leaves_is_that_of_the_worst_run_it_was_fitted_to(sizes, usual):
+    """By errors in floors; nothing where they are far off on the whole."""
+    rng = np.random.default_rng(1)
+    shown, *fitted = (
+        made_up_replays(name, constant_errors(9.0, 9.0, size), 1.0, rng.standard_normal((400, 1)))
+        for name, size in zip("abcd", [1.5, *sizes], strict=True)
+    )
+    assert gap_table([shown], fitted).left.usual == pytest.approx(usual)
+    assert gap_table([shown]).left.usual == 0.0
+
+
 def repeated(scatter, bias, seeds):
     """Two runs of one command: a common error `bias` and noise of deviation `scatter` in each."""
     replays = []

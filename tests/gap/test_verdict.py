@@ -118,6 +118,20 @@ def test_names_that_do_not_bring_held_out_runs_nearer_are_not_given(excess, erro
     assert verdict_of([selected("coulomb_friction", 1e5)], table=table) == verdict
 
 
+@pytest.mark.parametrize(
+    ("excess", "usual", "verdict"),
+    [
+        (2.0, 1.0, "unknown_effect"),
+        (2.0, 1.8, "effect_found"),
+        (2.0, 3.0, "effect_found"),
+        (50.0, 60.0, "unknown_effect"),
+    ],
+)
+def test_names_may_leave_as_much_as_in_a_run_that_they_explain(excess, usual, verdict):
+    table = SimpleNamespace(left=Left(excess, 0.5, usual), closed=Closed(0.3, -0.2, 0.5))
+    assert verdict_of([selected("coulomb_friction", 1e5)], table=table) == verdict
+
+
 @pytest.mark.parametrize("error, verdict", [(1.9, "effect_found"), (0.5, "unknown_effect")])
 def test_a_friction_law_that_leaves_something_is_the_usual_case(error, verdict):
     table = SimpleNamespace(left=Left(2.0, error), closed=Closed(0.3, -0.2, 0.5))

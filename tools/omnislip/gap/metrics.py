@@ -25,6 +25,8 @@ Array = npt.NDArray[np.float64]
 
 WINDOW_S = 1.0
 BOOTSTRAPS, LEAST_RUNS = 2000, 3
+LEAST_EXCESS = 0.5
+"""Excess of the square error, in noise floors, that counts as something left."""
 PREDICTED, REPEATED = "the predictor's noise", "repeated manoeuvres"
 """Where a noise floor comes from."""
 OTHER_COMMANDS = 0.02
@@ -68,6 +70,10 @@ class Left:
 
     excess: float
     standard_error: float
+    usual: float = 0.0
+    """The same of the run that was fitted in which it is largest, beside a floor by the predictor's
+    noise: that is one for all runs, and chance may be larger in some. 0 where the model leaves much
+    of the runs that were fitted."""
 
 
 @dataclass(frozen=True)
@@ -111,7 +117,8 @@ def replay_all(
 def gap_table(replays: Sequence[Replays], others: Sequence[Replays] = ()) -> GapTable:
     """Summarise replays whose first three models are believed, refit and after.
 
-    `others` are replays of runs that do not count but may repeat a manoeuvre of those that do.
+    `others` are replays of the runs that were fitted: they may repeat a manoeuvre of those that
+    count, and show what the model leaves where it was made.
     """
     run = replays[0].run
     seen = [c for c in range(len(run.channels)) if any(_sampled(r, c) for r in replays)]
@@ -123,7 +130,9 @@ def gap_table(replays: Sequence[Replays], others: Sequence[Replays] = ()) -> Gap
     source = PREDICTED if repeated is None else REPEATED
     rmse = np.sqrt(_mean(_run_moments(replays)[:, :, seen], axis=0))
     left = left_over(replays, seen, floor)
-    if repeated is not None:
+    if repeated is None:
+        left = replace(left, usual=_usual_excess(others))
+    else:
         # A floor from few seconds is as uncertain as they are.
         scatter = _standard_error(_mean(repetitions[:, seen] / floor, axis=1))
         error = float(np.hypot(left.standard_error, (1.0 + left.excess) * scatter))
@@ -155,6 +164,15 @@ def left_over(replays: Sequence[Replays], seen: Sequence[int], floor: Array) -> 
     windows = np.concatenate([_window_moments(r) for r in replays])[:, -1, seen]
     excess = _mean(windows / floor - 1.0, axis=1)
     return Left(float(np.nanmean(excess)), _standard_error(excess))
+
+
+def _usual_excess(fitted: Sequence[Replays]) -> float:
+    """Return the largest excess of the last model in one of the runs, if it explains most."""
+    excess = []
+    for pieces in _by_run([one for one in fitted if one.counted.any()]):
+        own, floor = range(len(pieces[0].run.channels)), _mean_floor(pieces)
+        excess.append(left_over(pieces, own, floor).excess)
+    return max(0.0, *excess) if excess and np.mean(excess) < LEAST_EXCESS else 0.0
 
 
 def _standard_error(samples: Array) -> float:

@@ -9,7 +9,7 @@ from omnislip.gap.inference import at_bound
 from omnislip.gap.judge import ALPHA, FRICTION_OVER_SLIP, SURE_GAIN, WITHIN_LAW, Trial, within_row
 from omnislip.gap.leftover import UNKNOWN_SHARE, Leftover
 from omnislip.gap.machine import CURVE
-from omnislip.gap.metrics import REPEATED, GapTable
+from omnislip.gap.metrics import LEAST_EXCESS, REPEATED, GapTable
 from omnislip.gap.noise import LASTING_RATE_1_S
 from omnislip.gap.predictable import EQUATIONS, OWN_PASTS_S, Predictable
 from omnislip.gap.search import Outcome
@@ -51,8 +51,6 @@ EXPLAINED, PROVEN = 0.9, 0.5
 """Share of the gap on held-out runs that effects must be able to close, where much of it is left to
 judge by and where little is: in their intervals the names of 132 models closed 0.95 and more, those
 of three robots that lack nothing but the friction curve 0.2 to 0.55."""
-LEAST_EXCESS = 0.5
-"""Excess of the square error, in noise floors, that counts as something left."""
 FAR_EXCESS = 24.0
 """The same from which no floor is an excuse: five floors off in RMSE, where nothing is missing 1.8
 at most (150 nulls against repeated manoeuvres; the predictor's noise gives higher floors)."""
@@ -247,11 +245,11 @@ def much_is_left(table: GapTable, selected: Sequence[Selected]) -> bool:
     """Whether replays of held-out runs stay clearly above the floor.
 
     With effects: they surely close less than `EXPLAINED` of the gap, and what is left is more than
-    its own error (surely more, where only the friction over slip is named, which is never quite
-    right). Without: against repeated manoeuvres, for the predictor's own noise takes a gap
-    that nothing explains for chance. Far above in any case, if more than one window says so: a
-    held-out run may hold what no fitted one does, and of what comes and goes the mean is as
-    uncertain as it is large.
+    in any run that was fitted and explained, and its own error (surely more, where only the
+    friction over slip is named, which is never quite right). Without: against repeated manoeuvres,
+    for the predictor's own noise takes a gap that nothing explains for chance. Far above in any
+    case, if more than one window says so: a held-out run may hold what no fitted one does, and of
+    what comes and goes the mean is as uncertain as it is large.
     """
     left, closed = table.left, table.closed
     if left.excess < LEAST_EXCESS:
@@ -261,7 +259,8 @@ def much_is_left(table: GapTable, selected: Sequence[Selected]) -> bool:
         errors = (
             1.0 if any(s.candidate.effect not in FRICTION_OVER_SLIP for s in selected) else SURE
         )
-        return (far or left.excess >= errors * error) and closed.high < EXPLAINED
+        off = left.excess - left.usual >= errors * error
+        return (far or off) and closed.high < EXPLAINED
     if left.excess >= SURE * error and table.floor_source == REPEATED:
         return True
     return far and error < np.inf

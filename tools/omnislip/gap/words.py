@@ -9,7 +9,7 @@ from omnislip.gap.events import Impact
 from omnislip.gap.judge import DELAY, LAGS, SURE_GAIN, TOO_SHORT
 from omnislip.gap.leftover import Leftover
 from omnislip.gap.machine import Machine
-from omnislip.gap.metrics import GapTable, Replays, gap_table
+from omnislip.gap.metrics import LEAST_EXCESS, GapTable, Replays, gap_table
 from omnislip.gap.moments import Moment
 from omnislip.gap.plan import Separation
 from omnislip.gap.predictable import Predictable
@@ -18,7 +18,6 @@ from omnislip.gap.selected import Selected
 from omnislip.gap.split import RUNS_TO_HOLD_OUT_WHOLE, Split
 from omnislip.gap.unknown import Unknown
 from omnislip.gap.verdict import (
-    LEAST_EXCESS,
     better_without_name,
     keys_at_their_ends,
     missing_terms,
