@@ -317,7 +317,8 @@ def test_where_nothing_is_off_on_held_out_runs_a_name_has_to_be_stable(high, sta
 
 
 @pytest.mark.parametrize(
-    ("gain", "law", "named"), [(50.0, 1e4, False), (50.0, 40.0, True), (300.0, 1e4, True)]
+    ("gain", "law", "named"),
+    [(50.0, 1e4, False), (50.0, 40.0, True), (110.0, 1e4, True), (300.0, 1e4, True)],
 )
 def test_a_faint_change_of_the_friction_curve_is_no_gap_by_itself(gain, law, named):
     """1 % of the way to another law; a floor is off by three."""

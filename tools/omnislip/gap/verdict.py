@@ -56,6 +56,9 @@ FAR_EXCESS = 24.0
 at most (150 nulls against repeated manoeuvres; the predictor's noise gives higher floors)."""
 SURE = 3.0
 """Standard errors by which an excess has to stand out."""
+FAINT_GAIN = 100.0
+"""Gain beyond chance from which a change of the friction curve is no faint one: twice what a curve
+gains that is 1.5 % of the way to another law."""
 KEY_AT_END, KEYS_BY_CHANCE = 2.0 * float(norm.sf(2.0)), 1e-3
 """Chance that one believed key is two tolerances off; and that so many are, below which the model
 is wrong in something else."""
@@ -77,7 +80,7 @@ def closes_nothing(selected: Sequence[Selected], table: GapTable) -> bool:
 
 def _faint_curve(one: Selected) -> bool:
     gain = one.evidence.beyond_chance
-    return one.candidate.effect == CURVE and gain < min(SURE_GAIN, one.law_gain)
+    return one.candidate.effect == CURVE and gain < min(FAINT_GAIN, one.law_gain)
 
 
 def judge_outcome(
