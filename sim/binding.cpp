@@ -294,7 +294,7 @@ class Engine {
         require(noise.process.size() == static_cast<std::size_t>(kernel_->states()) &&
                     noise.initial.size() == noise.process.size() &&
                     noise.output.size() == static_cast<std::size_t>(kernel_->outputs()) &&
-                    (noise.coloured.empty() || noise.coloured.size() == pushes()),
+                    (noise.coloured.empty() || noise.coloured.size() == pushes() * pushes()),
                 "noise vectors have the wrong length");
         nb::gil_scoped_release release;
         return track_all(*kernel_, recordings, values.data(), noise, step_s, floor_window_s,
@@ -338,7 +338,7 @@ class Engine {
                     output.shape(1) == outputs && output.shape(0) == sets &&
                     initial.shape(0) == sets && timing_s2.shape(0) == sets &&
                     unresolved.shape(0) == sets && unresolved_current.shape(0) == sets &&
-                    coloured.shape(0) == sets && coloured.shape(1) == pushes() &&
+                    coloured.shape(0) == sets && coloured.shape(1) == pushes() * pushes() &&
                     colour_rate_1_s.shape(0) == sets,
                 "noise arrays have the wrong shape");
         std::vector<Noise> noises(sets);

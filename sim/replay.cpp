@@ -113,18 +113,18 @@ Track track(const Kernel &kernel, const Recording &recording, const double *valu
     std::vector<int> moved(static_cast<std::size_t>(n)); /* places in x */
     std::iota(moved.begin(), moved.end(), 0);
     std::copy(result.memory.begin(), result.memory.end(), moved.begin() + of_plant);
-    Vector lasting = Vector::Zero(q);
+    Matrix lasting = Matrix::Zero(q, q);
     std::copy(noise.coloured.begin(), noise.coloured.end(), lasting.data());
     const int motors = kernel.motors();
     Vector variance = Eigen::Map<const Vector>(noise.output.data(), m);
     Vector x = Vector::Zero(kernel.states_and_memory()), next(x.size());
     x.head(of_plant) = Eigen::Map<const Vector>(recording.initial_state.data(), of_plant);
     kernel.settle(loaded.get(), recording, x.data());
-    Vector estimate = Vector::Zero(all), grown(all);
+    Vector estimate = Vector::Zero(all), grown(n);
     estimate.head(n) = x(moved);
     Matrix p = Matrix::Zero(all, all);
     p.diagonal().head(n) = initial;
-    p.diagonal().tail(q) = lasting;
+    p.bottomRightCorner(q, q) = lasting;
     Matrix free = p; /* covariance of a replay that runs since its last restart */
     double restart_s = recording.time_s[0] + recording.settle_s;
     Matrix moves(n, n), shown(m, n), push(n, q);
@@ -159,7 +159,7 @@ Track track(const Kernel &kernel, const Recording &recording, const double *valu
             free = p; /* it starts where the filter is, but follows no disturbance */
             free.rightCols(q).setZero();
             free.bottomRows(q).setZero();
-            free.diagonal().tail(q) = lasting;
+            free.bottomRightCorner(q, q) = lasting;
             restart_s += floor_window_s;
         }
         if (k + 1 == rows)
@@ -190,19 +190,19 @@ Track track(const Kernel &kernel, const Recording &recording, const double *valu
         if (keep_linear)
             std::copy(transition.data(), transition.data() + all * all,
                       &result.transition[k * all * all]);
-        grown.head(n) = process * duration_s;
-        grown.tail(q) = (1.0 - decay * decay) * lasting;
+        grown = process * duration_s;
         const double way = duration_s * duration_s / 12.0;
         /* The ways follow the speeds in the state of a machine that has them. */
         for (int i = 0; noise.unresolved > 0.0 && i < motors; ++i) {
             grown[motors + i] += noise.unresolved * way * way *
                                  squared_change(recording, motors, static_cast<int>(k), i);
         }
-        kernel.carry_covariance(transition.data(), all, p.data());
-        p.diagonal() += grown;
-        if (with_floor) {
-            kernel.carry_covariance(transition.data(), all, free.data());
-            free.diagonal() += grown;
+        for (Matrix *covariance : {&p, with_floor ? &free : nullptr}) {
+            if (covariance == nullptr)
+                continue;
+            kernel.carry_covariance(transition.data(), all, covariance->data());
+            covariance->diagonal().head(n) += grown;
+            covariance->bottomRightCorner(q, q) += (1.0 - decay * decay) * lasting;
         }
     }
     return result;

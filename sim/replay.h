@@ -63,7 +63,7 @@ struct Recording {
 };
 
 /* Noise of the filter: variances per second added to each state, variances of the outputs, the
- * lasting variances of the disturbances (empty: none) and the rate at which they decay, the
+ * lasting covariance of the disturbances (empty: none) and the rate at which they decay, the
  * variance of the rows' times [s^2]: a row taken d late shows every output d times its rate off,
  * and what a row's mean command does not tell. A controller that is faster than the log moves the
  * command within a row. Going evenly from the one neighbour's command to the other's, with a change
@@ -77,7 +77,7 @@ struct Noise {
     double timing_s2 = 0.0;
     double unresolved = 0.0;
     double unresolved_current = 0.0;
-    std::vector<double> coloured{}; /* [disturbance], of the rate of a pushed state */
+    std::vector<double> coloured{}; /* [disturbance][disturbance], of rates of pushed states */
     double colour_rate_1_s = 100.0;
 };
 

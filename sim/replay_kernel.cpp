@@ -584,7 +584,8 @@ class KernelOf final : public Kernel {
         const S unresolved = of_each([](const Noise &n) { return n.unresolved; });
         const S unresolved_current = of_each([](const Noise &n) { return n.unresolved_current; });
         const S colour_rate_1_s = of_each([](const Noise &n) { return n.colour_rate_1_s; });
-        S process[kStates], lasting[kPushes + 1], output[kOutputs], late[kOutputs], total(0.0);
+        S process[kStates], output[kOutputs], late[kOutputs], total(0.0);
+        S lasting[kPushes + 1][kPushes + 1];
         /* Covariance of the filter, and how far its state is from the track's. */
         S p[kFilter][kFilter], apart[kFilter];
         for (int i = 0; i < kFilter; ++i) {
@@ -596,8 +597,11 @@ class KernelOf final : public Kernel {
             p[i][i] = of_each([i](const Noise &n) { return n.initial[i]; });
         }
         for (int c = 0; c < kPushes; ++c) {
-            lasting[c] = of_each([c](const Noise &n) { return n.coloured[c]; });
-            p[kMoved + c][kMoved + c] = lasting[c];
+            for (int other = 0; other < kPushes; ++other) {
+                const int pair = c * kPushes + other;
+                lasting[c][other] = of_each([pair](const Noise &n) { return n.coloured[pair]; });
+                p[kMoved + c][kMoved + other] = lasting[c][other];
+            }
         }
         for (int j = 0; j < kOutputs; ++j) {
             output[j] = of_each([j](const Noise &n) { return n.output[j]; });
@@ -633,8 +637,11 @@ class KernelOf final : public Kernel {
             carry<kFilter>(track, k, decay, p, apart);
             for (int i = 0; i < kStates; ++i)
                 p[i][i] += process[i] * S(duration_s);
-            for (int c = 0; c < kPushes; ++c)
-                p[kMoved + c][kMoved + c] += (S(1.0) - decay * decay) * lasting[c];
+            const S renewed = S(1.0) - decay * decay;
+            for (int c = 0; c < kPushes; ++c) {
+                for (int other = 0; other < kPushes; ++other)
+                    p[kMoved + c][kMoved + other] += renewed * lasting[c][other];
+            }
             const double way = duration_s * duration_s / 12.0;
             for (int i = 0; i < kMotors && kMotors + i < kStates; ++i) {
                 p[kMotors + i][kMotors + i] +=

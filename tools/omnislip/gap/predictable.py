@@ -150,7 +150,7 @@ def predictable_shares(
     x, u, y, owner = (np.concatenate(each) for each in (features, driven, targets, owners))
     later, latest = (np.concatenate(each) for each in zip(*pasts, strict=True))
     least = REST * np.sum(np.concatenate(there) ** 2, axis=0)
-    least = np.maximum(least, SEEN * noise.coloured * len(y))
+    least = np.maximum(least, SEEN * np.diagonal(noise.coloured) * len(y))
     least = np.maximum(least, FRICTION_SHARE * np.sum(np.concatenate(friction) ** 2, axis=0))
 
     def shares_of(index: int) -> list[Predictable]:
