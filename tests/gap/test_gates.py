@@ -11,12 +11,19 @@ from omnislip.gap import find, gates
 from omnislip.gap.events import Impact
 from omnislip.gap.find import find_gap
 from omnislip.gap.findings import to_json
-from omnislip.gap.gates import _lag_s, _speed_per_duty, check, logged_set_points, too_poor
+from omnislip.gap.gates import (
+    _lag_s,
+    _speed_per_duty,
+    _turn_rates,
+    check,
+    logged_set_points,
+    too_poor,
+)
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import RunawayError
 from omnislip.gap.truth import TruthCase, write_case
 from omnislip.gap.truth_effects import HiddenEffect, typical_effect
-from omnislip.log_file import ROBOT_OPTIONAL, Log, read_log, write_log
+from omnislip.log_file import POSE_COLUMNS, ROBOT_OPTIONAL, Log, read_log, write_log
 from omnislip.model_file import NOMINAL_ROBOT, read_model, write_model
 from omnislip.scenario import Scenario, Sensors, read_scenario
 from omnislip.simulate import make_log, simulate_truth
@@ -322,6 +329,25 @@ def test_hard_slip_is_no_late_sensor():
     scenario = read_scenario(NOMINAL_ROBOT.parents[1] / "scenarios" / "identification.toml")
     checked = check(MACHINE, [make_log(scenario, simulate_truth(scenario))])
     assert (checked.complaint, checked.cuts) == (None, [])
+
+
+@pytest.mark.parametrize("grip", [0.25, 0.4])
+@pytest.mark.parametrize(
+    ("delay_s", "told"), [(0.0, None), (0.2, r"is 0\.(19|20|21) s late against the encoders")]
+)
+def test_a_body_that_slips_for_long_is_no_late_gyro(grip, delay_s, told):
+    """Spun to and fro without a camera: a quarter of a second and more behind the wheels, as the
+    believed model is."""
+    model = replace(MODEL, values=MODEL.values | {"contact.mu_drive": grip})
+    commands = [
+        {"t_s": t_s, "kind": "duty", "value": [0.5 * (-1.0) ** k] * 4}
+        for k, t_s in enumerate([0.0, 1.2, 2.0, 3.5, 4.2, 6.0, 6.8, 8.4])
+    ]
+    scenario = Scenario("run", 9.4, model, commands, sensors=SENSORS, seed=1)
+    log = without(make_log(scenario, simulate_truth(scenario)), POSE_COLUMNS)
+    assert _lag_s(*_turn_rates(Machine(model), log)[1:])[0] > 0.25
+    complaint = check(Machine(model), [later(log, ["gyro/z_rad_s"], delay_s)]).complaint
+    assert re.search(told, complaint) if told else complaint is None
 
 
 @settings(max_examples=60)

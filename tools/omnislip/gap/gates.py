@@ -20,6 +20,7 @@ from scipy.ndimage import median_filter
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import (
     STEP_S,
+    YAW,
     RunawayError,
     first_guess,
     stall_acceleration_rad_s2,
@@ -606,14 +607,7 @@ def _speed_ratio(machine: Machine, log: Log) -> Array:
 
     Not per duty: wheels that push a robot askew turn a fifth slower than those that spin it.
     """
-    run = make_run(machine, log)
-    start = np.zeros(machine.engine.states)
-    start[4:8] = run.outputs[0, :4]
-    unseen = np.full_like(run.outputs, np.nan)
-    recording = machine.engine.recording(run.t_s, run.command, unseen, start)
-    noise = first_guess(machine, [run])
-    [track] = track_recordings(machine, [recording], machine.believed, noise, STEP_S)
-    believed = track.state.reshape(len(run.t_s), -1)[run.log_rows, :4]
+    believed = _driven_blindly(machine, log)
     found = []
     for rows, wheel, speed, _ in _steady_windows(machine, log):
         model = believed[rows, wheel]
@@ -622,11 +616,24 @@ def _speed_ratio(machine: Machine, log: Log) -> Array:
     return np.array(found)
 
 
+def _driven_blindly(machine: Machine, log: Log) -> Array:
+    """States (rows, states) of the believed model that starts at rest, by the duties alone."""
+    run = make_run(machine, log)
+    start = np.zeros(machine.engine.states)
+    start[4:8] = run.outputs[0, :4]
+    unseen = np.full_like(run.outputs, np.nan)
+    recording = machine.engine.recording(run.t_s, run.command, unseen, start)
+    noise = first_guess(machine, [run])
+    [track] = track_recordings(machine, [recording], machine.believed, noise, STEP_S)
+    return track.state.reshape(len(run.t_s), -1)[run.log_rows]
+
+
 def _late(machine: Machine, log: Log) -> str | None:
     """Gyro or camera late, or early, by more than an effect of the sensor can describe.
 
-    Slip makes the body follow the wheels late: between wheels and body only a large lag counts.
-    Gyro and camera both see the body; where they disagree, the wheels tell which of them is off.
+    Slip makes the body follow the wheels late: between wheels and body only a large lag counts, and
+    none that the believed model has as well under the same duties. Gyro and camera both see the
+    body; where they disagree, the wheels tell which of them is off.
     """
     rates = _turn_rates(machine, log)
     if rates is None or rates[1].std() < 0.1:
@@ -635,8 +642,11 @@ def _late(machine: Machine, log: Log) -> str | None:
     lag_s, alike = _lag_s(wheels, gyro)
     camera = _camera_turn_rate(log, grid)
     if camera is None:
-        late = lag_s > SLIP_LATE_S or lag_s < -LATE_S
-        return f"gyro/z_rad_s is {_words(lag_s)} {WHEELS}" if alike > ALIKE and late else None
+        if alike <= ALIKE or -LATE_S <= lag_s <= SLIP_LATE_S:
+            return None
+        beside_s, alike = _lag_s(_believed_turn_rate(machine, log, grid), gyro)
+        own_s = beside_s if alike > ALIKE else lag_s
+        return f"gyro/z_rad_s is {_words(own_s)} {WHEELS}" if abs(own_s) > LATE_S else None
     inside = ~np.isnan(camera)
     wheels, gyro, camera = wheels[inside], gyro[inside], camera[inside]
     between_s, alike = _lag_s(gyro, camera)
@@ -663,6 +673,12 @@ def _late(machine: Machine, log: Log) -> str | None:
     if alike > ALIKE and not -LATE_S <= between_s <= CAMERA_LATE_S:
         return f"the pose is {_words(between_s)} against the gyro"
     return None
+
+
+def _believed_turn_rate(machine: Machine, log: Log, grid: Array) -> Array:
+    """Turn rate of the believed model on the grid, averaged over 50 ms; 0 where it is lost."""
+    turn_rate = np.interp(grid, log.t_s, _driven_blindly(machine, log)[:, YAW])
+    return np.convolve(np.nan_to_num(turn_rate), np.ones(5) / 5, "same")
 
 
 def _words(lag_s: float) -> str:
