@@ -19,7 +19,7 @@ from omnislip.gap.events import (
 )
 from omnislip.gap.inference import Data
 from omnislip.gap.machine import Machine
-from omnislip.gap.noise import track_all, tune_noise
+from omnislip.gap.noise import COLOUR_RATE, track_all, tune_noise
 from omnislip.gap.recordings import make_run
 from omnislip.gap.settle import believed_hypothesis, first_model
 from omnislip.gap.truth import TruthCase, write_case
@@ -136,8 +136,8 @@ def test_a_push_that_several_peaks_show_is_told_once(tmp_path, monkeypatch):
 
 
 def test_a_push_after_which_wheels_slide_is_found(tmp_path, monkeypatch):
-    """Of 0.6 m/s: the linear response explains too little of what a light one may leave."""
-    push = (12.0, 0.0, 0.0)
+    """Of 0.8 m/s: the linear response explains too little of what a light one may leave."""
+    push = (16.0, 0.0, 0.0)
     (impact,) = found_in(tmp_path, push, friction_curve="tanh")
     assert impact.time_s == pytest.approx(2.5031, abs=0.015)
     assert impact.impulse == pytest.approx(push, abs=1.2)
@@ -494,17 +494,23 @@ def jumping_log(seed):
 
 
 def test_a_jump_of_the_command_within_a_row_is_no_push(monkeypatch):
-    """To full duty, beyond the grip; taken as held for the row it feigns one of 0.08 m/s."""
+    """To full duty, beyond the grip; taken as held for the row it is force at the contacts."""
     logs = [jumping_log(seed) for seed in range(8, 12)]
 
     def found():
         runs = [make_run(ROBOT, log) for log in logs]
         noise, model = first_model(ROBOT, runs)
-        return find_impacts(ROBOT, runs, model.flat(ROBOT.believed), noise)
+        values = model.flat(ROBOT.believed)
+        tracks = track_all(ROBOT, runs, values, noise)
+        likelihood = sum(track.log_likelihood for track in tracks)
+        return find_impacts(ROBOT, runs, values, noise), likelihood, noise.logs[COLOUR_RATE + 1]
 
-    assert found() == []
+    impacts, likelihood, contact = found()
+    assert impacts == []
     monkeypatch.setattr(recordings, "parted_at_jumps", lambda *rows: (*rows, np.zeros(0, np.intp)))
-    assert found() != []
+    _, likelihood_held, contact_held = found()
+    assert likelihood > likelihood_held + 1000.0
+    assert contact_held > contact + np.log(4.0)
 
 
 @pytest.mark.parametrize(

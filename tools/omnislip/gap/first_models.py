@@ -93,7 +93,7 @@ def taken_rightly(
     One with fewer effects than the `least`, those of the model that spoke last, has no say: what it
     lacks moves commands within rows, too.
     """
-    if len(model.effects) < least:
+    if machine.kind != "robot" or len(model.effects) < least:
         return None
     values = model.flat(machine.believed)
     moving = machine.of(machine.model, holds_commands=False)
