@@ -56,6 +56,9 @@ of squares by less than 2."""
 STAMP_S = 5e-4
 """Standard deviation of what the stamp of a row may be off by, where something else is to be told
 from it: a system that stamps what it reads when it finds time."""
+UNSURE = 100.0
+"""Added to the information of each logarithm where a step is damped: of what hardly tells on the
+likelihood an e-fold may change much that does. Climbs end 10 to 130 higher, in fewer rounds."""
 CONVERGED, LITTLE = 3.0, 0.01
 """Gain of log-likelihood below which another round is not worth it, alone and as a share of what
 was gained before: where that is much the model is off, and will be fitted before the next path."""
@@ -279,7 +282,7 @@ class _Path:
             slope, information = slope[free], information[np.ix_(free, free)]
             trials = []
             for k in range(TRIALS):
-                damped = information + damping * 5.0**k * np.diag(np.diag(information))
+                damped = information + damping * 5.0**k * np.diag(np.diag(information) + UNSURE)
                 trial = logs.copy()
                 trial[free] += np.clip(np.linalg.solve(damped, slope), -2.0, 2.0)
                 trials.append(np.clip(trial, low, high))
