@@ -317,6 +317,23 @@ def test_where_nothing_is_off_on_held_out_runs_a_name_has_to_be_stable(high, sta
 
 
 @pytest.mark.parametrize(
+    ("gap", "gains", "stability", "named"),
+    [
+        (0.3, [1e4], 1.0, True),
+        (0.3, [1e4, 300.0], 1.0, True),
+        (0.6, [1e4], 1.0, False),
+        (0.3, [1e4, 100.0], 1.0, False),
+        (0.3, [1e4], 0.7, False),
+    ],
+)
+def test_runs_that_hardly_excite_a_sure_effect_do_not_take_its_name(gap, gains, stability, named):
+    effects = [replace(selected("coulomb_friction", gain), stability=stability) for gain in gains]
+    closed = Closed(-0.2, -0.7, -0.03, gap=gap)
+    table = SimpleNamespace(left=Left(0.4, 0.2), closed=closed, floor_source="predicted")
+    assert closes_nothing(effects, table) != named
+
+
+@pytest.mark.parametrize(
     ("gain", "law", "named"),
     [(50.0, 1e4, False), (50.0, 40.0, True), (110.0, 1e4, True), (300.0, 1e4, True)],
 )

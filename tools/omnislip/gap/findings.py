@@ -307,7 +307,7 @@ def _table_json(table: GapTable) -> dict[str, Any]:
     return {
         "held_out_runs": list(dict.fromkeys(table.runs)),
         "channels": channels,
-        "closed_fraction": asdict(closed),
+        "closed_fraction": {k: v for k, v in asdict(closed).items() if k != "gap"},
         "noise_floor_source": table.floor_source,
     }
 

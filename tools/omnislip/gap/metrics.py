@@ -55,13 +55,15 @@ class Replays:
 class Closed:
     """Closed share of the gap with a 90 % interval; None when there is no gap to close or to judge.
 
-    `over` says in words what was drawn anew for the interval.
+    `over` says in words what was drawn anew for the interval; `gap` is what there is to close, the
+    excess of the square error in floors.
     """
 
     value: float | None
     low: float | None
     high: float | None
     over: str | None = None
+    gap: float = np.inf
 
 
 @dataclass(frozen=True)
@@ -218,9 +220,12 @@ def closed_fraction(replays: Sequence[Replays], seen: Sequence[int], floor: Arra
         units = np.concatenate([_window_moments(r) for r in replays])[:, :, seen]
         over = f"{len(units)} windows of {WINDOW_S:g} s of {runs}"
 
-    def share(sample: Array) -> float:
+    def excess_of(sample: Array) -> Array:
         # 1 is subtracted for the floor; channels count alike because each is in floors.
-        excess = _mean(_mean(sample, axis=0) / floor - 1.0, axis=1)
+        return _mean(_mean(sample, axis=0) / floor - 1.0, axis=1)
+
+    def share(sample: Array) -> float:
+        excess = excess_of(sample)
         return float((excess[1] - excess[2]) / excess[1]) if excess[1] > 0.05 else np.nan
 
     value = share(units)
@@ -231,7 +236,7 @@ def closed_fraction(replays: Sequence[Replays], seen: Sequence[int], floor: Arra
     shares = [share(units[draw]) for draw in draws]
     finite = [s for s in shares if np.isfinite(s)]
     low, high = np.percentile(finite, [5, 95]) if finite else (value, value)
-    return Closed(value, float(low), float(high), over)
+    return Closed(value, float(low), float(high), over, float(excess_of(units)[1]))
 
 
 def _sampled(replays: Replays, channel: int) -> bool:

@@ -69,13 +69,21 @@ def closes_nothing(selected: Sequence[Selected], table: GapTable) -> bool:
 
     They surely close less than half of what is off there. Or nothing is off, which may be so with a
     weak effect that shows sample by sample; but then its name has to be stable, and no faint change
-    of the friction curve: a law that is off by less than any is on a floor is a believed one.
+    of the friction curve: a law that is off by less than any is on a floor is a believed one. Where
+    so little is off that runs which hardly excite an effect may be all that there is (a carpet's
+    grain where no wheel slips), what is sure elsewhere is named.
     """
     if much_is_left(table, selected):
         return False
     if table.closed.high is None:
         return all(one.stability < STABLE or _faint_curve(one) for one in selected)
+    if table.closed.gap < LEAST_EXCESS and all(_sure(one) for one in selected):
+        return False
     return table.closed.high < PROVEN
+
+
+def _sure(one: Selected) -> bool:
+    return one.stability >= STABLE and one.evidence.beyond_chance > SURE_GAIN
 
 
 def _faint_curve(one: Selected) -> bool:
