@@ -13,7 +13,7 @@ from omnislip.gap.metrics import Closed, Left
 from omnislip.gap.plan import Manoeuvre, Separation
 from omnislip.gap.selected import Selected
 from omnislip.gap.verdict import closes_nothing, judge_outcome
-from omnislip.gap.words import advice, short_delay_words, weak_names
+from omnislip.gap.words import advice, short_delay_words, verdict_words, weak_names
 from omnislip.model_file import NOMINAL_ROBOT, read_model
 
 ROBOT = Machine(read_model(NOMINAL_ROBOT))
@@ -331,6 +331,22 @@ def test_runs_that_hardly_excite_a_sure_effect_do_not_take_its_name(gap, gains, 
     closed = Closed(-0.2, -0.7, -0.03, gap=gap)
     table = SimpleNamespace(left=Left(0.4, 0.2), closed=closed, floor_source="predicted")
     assert closes_nothing(effects, table) != named
+
+
+def test_a_sentence_does_not_speak_of_a_gap_that_held_out_runs_do_not_have():
+    effects = [selected("low_grip", 1e4)]
+
+    def sentence(closed):
+        outcome = SimpleNamespace(selected=effects)
+        table = SimpleNamespace(closed=closed)
+        return verdict_words("effect_found", ROBOT, outcome, table, [], None, [], [], [])
+
+    told = sentence(Closed(-0.24, -0.74, -0.03, gap=0.33))
+    assert "only 0.33 noise floors are off there" in told
+    assert "%" not in told
+    assert "95 % of the gap on held-out runs closes (90 to 100 %)" in sentence(
+        Closed(0.95, 0.9, 1.0, gap=30.0)
+    )
 
 
 @pytest.mark.parametrize(

@@ -18,6 +18,7 @@ from omnislip.gap.selected import Selected
 from omnislip.gap.split import RUNS_TO_HOLD_OUT_WHOLE, Split
 from omnislip.gap.unknown import Unknown
 from omnislip.gap.verdict import (
+    PROVEN,
     better_without_name,
     keys_at_their_ends,
     missing_terms,
@@ -172,7 +173,12 @@ def verdict_words(
         return text + (f" Nearest known: {'; '.join(parts)}." if parts else "")
     text = "Missing: " + "; ".join(parts) + "."
     closed = table.closed
-    if closed.value is not None:
+    if closed.value is not None and closed.high < PROVEN:  # so it is sure elsewhere
+        text += (
+            f" Held-out runs hardly show it: only {closed.gap:.2g} noise floors are off there, and the"
+            " model with it does not come nearer. Drive again what was fitted to see a gap close."
+        )
+    elif closed.value is not None:
         text += (
             f" Added to the model, {100 * closed.value:.0f} % of the gap on held-out runs closes"
             f" ({100 * closed.low:.0f} to {100 * closed.high:.0f} %)."
