@@ -176,7 +176,8 @@ def verdict_words(
     if closed.value is not None and closed.high < PROVEN:  # so it is sure elsewhere
         text += (
             f" Held-out runs hardly show it: only {closed.gap:.2g} noise floors are off there, and"
-            " the model with it does not come nearer. Drive again what was fitted to see a gap close."
+            " the model with it does not come nearer. Drive what was fitted again to see a gap"
+            " close."
         )
     elif closed.value is not None:
         text += (
