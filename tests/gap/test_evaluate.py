@@ -154,3 +154,20 @@ def test_a_log_that_is_too_short_is_refused(duration_s, tmp_path):
     files = axis_files(tmp_path, rubbing([1], duration_s=duration_s))
     with pytest.raises(InputError, match=r"run_01.csv: too short .* more than 1 s .* 50 rows"):
         evaluate_model(*files, silent)
+
+
+@pytest.mark.parametrize("with_rows", [False, True])
+def test_held_commands_jump_where_the_motion_says(tmp_path, monkeypatch, with_rows):
+    write_case(TruthCase(seed=4, runs=2, run_duration_s=3.0), tmp_path)
+    judged, judging = [], evaluate.judging_noise
+
+    def spied(machine, runs, *rest):
+        judged.append((machine.holds_commands, machine.jumps_with_rows))
+        assert all((run.parted is not None) == with_rows for run in runs)
+        return judging(machine, runs, *rest)
+
+    monkeypatch.setattr(evaluate, "judging_noise", spied)
+    monkeypatch.setattr(evaluate, "likelier_held", lambda *_: 1.0)
+    monkeypatch.setattr(evaluate, "likelier_with_rows", lambda *_: 1.0 if with_rows else -1.0)
+    evaluate_model(tmp_path / "robot.toml", sorted(tmp_path.glob("run_*.csv")), silent)
+    assert judged == [(True, with_rows)]
