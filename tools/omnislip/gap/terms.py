@@ -13,10 +13,12 @@ import numpy as np
 import numpy.typing as npt
 from scipy.signal import lfilter
 
+from omnislip.gap.answers import CHANCE_S
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import no_load_speed_rad_s
 
 Array = npt.NDArray[np.float64]
+
 Of = Callable[[Array, Array], Array]
 """(state (rows, n), command (rows, motors)) -> (rows, motors)"""
 
@@ -26,6 +28,8 @@ GYRO, CAMERA, CAMERA_HEADING = 4, (5, 6), 7
 SUPPLY_LAGS_S, WARM_S, COMMAND_LAGS_S = (0.02, 0.2, 2.0), (0.5, 2.0, 8.0), (0.02, 0.1)
 BEYOND_PERCENT = (75.0, 95.0)
 EDGE_M, SLOW_YAW_RAD_S = 0.02, 0.05
+SMOOTHED = 9
+"""Rows over which a rate of change is taken."""
 EVERYWHERE = {"every wheel": (0, 1, 2, 3), **{f"wheel/{i + 1}": (i,) for i in range(4)}}
 BEATING = ("world/force_x", "world/force_y", "every wheel/torque")
 
@@ -161,13 +165,18 @@ def _shaft(function: Callable[[Array, Array], Array]) -> Callable[..., Array]:
 
 def _along(time_s: Array, values: Array) -> Array:
     """Rate of change, smoothed over some rows."""
-    kernel = np.ones(9) / 9
+    kernel = np.ones(SMOOTHED) / SMOOTHED
     return np.convolve(np.gradient(values, time_s), kernel, mode="same")
 
 
 def _slows(time_s: Array, speed: Array) -> Array:
-    """1 where a speed falls, 0 elsewhere."""
-    return (_along(time_s, speed**2) < 0.0).astype(np.float64)
+    """1 where a speed falls, 0 elsewhere: as it went until `CHANCE_S` before.
+
+    What disturbs it later slows it, too, and would pass for a force that acts where it slows.
+    """
+    lead = SMOOTHED // 2 + round(CHANCE_S / float(np.median(np.diff(time_s))))
+    falls = _along(time_s, speed**2) < 0.0
+    return np.concatenate([np.zeros(lead), falls])[: len(falls)]
 
 
 SHAFT_SHAPES: dict[str, Callable[..., Array]] = {
