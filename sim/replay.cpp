@@ -197,13 +197,14 @@ Track track(const Kernel &kernel, const Recording &recording, const double *valu
             grown[motors + i] += noise.unresolved * way * way *
                                  squared_change(recording, motors, static_cast<int>(k), i);
         }
-        for (Matrix *covariance : {&p, with_floor ? &free : nullptr}) {
-            if (covariance == nullptr)
-                continue;
-            kernel.carry_covariance(transition.data(), all, covariance->data());
-            covariance->diagonal().head(n) += grown;
-            covariance->bottomRightCorner(q, q) += (1.0 - decay * decay) * lasting;
-        }
+        const auto carry = [&](Matrix &covariance) {
+            kernel.carry_covariance(transition.data(), all, covariance.data());
+            covariance.diagonal().head(n) += grown;
+            covariance.bottomRightCorner(q, q) += (1.0 - decay * decay) * lasting;
+        };
+        carry(p);
+        if (with_floor)
+            carry(free);
     }
     return result;
 }

@@ -420,7 +420,7 @@ def test_a_model_that_lacks_more_than_the_last_one_does_not_take_its_answer_back
     monkeypatch.setattr(first_models, "likelier_held", lambda *_: 1e3)
     machine = Machine(read_model(NOMINAL_ROBOT))
     model = SimpleNamespace(effects=[None] * effects, flat=lambda believed: believed)
-    found = first_models.taken_rightly(machine, [], 2, model, None)
+    found = first_models.other_machine(machine, [], 2, model, None)
     assert (found is not None) == again
     assert not again or found.holds_commands
 
@@ -433,7 +433,7 @@ def test_a_better_model_may_say_that_held_commands_jump_otherwise(monkeypatch, w
     model = read_model(NOMINAL_ROBOT)
     machine = Machine(model, holds_commands=True, jumps_with_rows=with_rows)
     better = SimpleNamespace(effects=[None], flat=lambda believed: believed)
-    found = first_models.taken_rightly(machine, [], 1, better, None)
+    found = first_models.other_machine(machine, [], 1, better, None)
     if abs(likelier) < 100.0 or (likelier > 0.0) == with_rows:
         assert found is None
     else:

@@ -35,13 +35,13 @@ def test_what_any_friction_law_leaves_is_no_falling_grip(tmp_path, fraction):
     assert not within_law(data, curved, rubbing, 1)
 
 
-@pytest.mark.parametrize("law", ["atan", "brush"])
-def test_a_small_fall_of_grip_is_told_where_no_law_takes_its_place(tmp_path, law):
+@pytest.mark.parametrize(("seed", "law"), [(512, "atan"), (511, "brush"), (512, "brush")])
+def test_a_small_fall_of_grip_is_told_where_no_law_takes_its_place(tmp_path, seed, law):
     """6 % of the grip: less than what friction off its law may leave. Or the law is another."""
     sizes = [0.06, 0.3]
     hidden = HiddenEffect("grip_falloff", dict(zip(("fraction", "speed_m_s"), sizes, strict=True)))
     case = TruthCase(
-        seed=512,
+        seed=seed,
         effects=(hidden.as_dict(),) if law == "atan" else (),
         friction_curve=law,
         excitation="rich",

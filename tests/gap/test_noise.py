@@ -12,6 +12,7 @@ from omnislip.gap.machine import Machine
 from omnislip.gap.noise import (
     COLOUR_RATE,
     COLOUR_RATES_1_S,
+    CONTACT,
     CONVERGED,
     NOISES,
     PULL,
@@ -407,7 +408,7 @@ def test_forces_at_the_contacts_are_found_by_likelihood(robot):
     make, _ = NOISES["robot"]
     logs = NOISES["robot"][1](robot.runs).low
     logs[3:6] = robot.noise.logs[3:6]
-    logs[COLOUR_RATE], logs[COLOUR_RATE + 1] = np.log(RATE_1_S), 0.0
+    logs[COLOUR_RATE], logs[CONTACT] = np.log(RATE_1_S), 0.0
     noise = make(machine, logs)
     recording, output = shaken_at_rest(machine, noise)
     run = replace(
@@ -418,7 +419,7 @@ def test_forces_at_the_contacts_are_found_by_likelihood(robot):
         recording=recording,
     )
     tuned = tune_noise(machine, [run], machine.believed)
-    assert np.exp(0.5 * tuned.logs[COLOUR_RATE + 1]) == pytest.approx(1.0, rel=0.1)
+    assert np.exp(0.5 * tuned.logs[CONTACT]) == pytest.approx(1.0, rel=0.1)
     alone = replace(noise, coloured=np.diag(np.diagonal(noise.coloured)))
     likelihoods = [
         track_all(machine, [run], machine.believed, one)[0].log_likelihood for one in (noise, alone)

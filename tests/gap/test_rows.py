@@ -185,14 +185,18 @@ def test_what_commands_that_rise_within_rows_feign_is_in_recordings_and_columns(
     assert max(promises(in_none, LAGS + SETTLING).values()) > 2 * CHANCE
 
 
-@pytest.mark.parametrize("seed", [11, 17])
-def test_jumps_within_rows_feign_no_soft_gear(seed, monkeypatch):
-    """Where wheels grip, the contact settles within a row: nor a lag of it, in rich driving."""
+@pytest.mark.parametrize(("seed", "open_loop"), [(11, True), (16, False), (17, True)])
+def test_jumps_within_rows_feign_no_soft_gear(seed, open_loop, monkeypatch):
+    """Where wheels grip, the contact settles within a row: nor a lag of it, in rich driving.
+
+    With rows left whole they do, but for a log that then passes for that of a closed loop.
+    """
     case = {"held": True, "seed": seed, "excitation": "rich", "noise_level": 0.5}
     monkeypatch.setattr(inference, "hidden_columns", no_columns)
     assert max(promises(data_of(**case), SETTLING).values()) < chi2.isf(0.01, 2)
     monkeypatch.setattr(recordings, "parted_at_jumps", not_parted)
-    assert min(promises(data_of(**case), SETTLING).values()) > 2 * chi2.isf(0.01, 2)
+    if open_loop:
+        assert min(promises(data_of(**case), SETTLING).values()) > 2 * chi2.isf(0.01, 2)
 
 
 def test_currents_at_the_begin_of_a_row_are_half_a_rise_off(electric):

@@ -40,6 +40,7 @@ from omnislip.gap.noise import (
 )
 from omnislip.gap.recordings import Run, rim_m_per_rad
 from omnislip.gap.side_by_side import side_by_side
+from omnislip.gap.within_rows import joined
 from omnislip.log_file import Log
 from omnislip.model_file import IMPACT_KEYS, Effect, Model
 
@@ -553,11 +554,7 @@ class _Window:
         least = min(self.quiet, self._least_by(self._command))
         if not self._parted.size:
             return least
-        whole = self._command.copy()
-        for k in self._parted:
-            lengths_s = np.diff(self._t_s[k - 1 : k + 2])
-            whole[k - 1 : k + 1] = lengths_s @ whole[k - 1 : k + 1] / lengths_s.sum()
-        return min(least, self._least_by(whole))
+        return min(least, self._least_by(joined(self._t_s, self._command, self._parted)))
 
     def _least_by(self, command: Array) -> float:
         change = np.diff(command, axis=0, prepend=command[:1])

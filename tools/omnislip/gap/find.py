@@ -22,7 +22,7 @@ from omnislip.gap.events import (
     too_often,
 )
 from omnislip.gap.findings import CANNOT_BE_USED, NOT_ENOUGH, Findings, Step
-from omnislip.gap.first_models import first_models, taken_as, taken_rightly
+from omnislip.gap.first_models import first_models, other_machine, taken_as
 from omnislip.gap.gates import check, logged_set_points, too_poor
 from omnislip.gap.inference import Data, Hypothesis, fit
 from omnislip.gap.inverse import relative_force_error
@@ -190,10 +190,10 @@ def _search(recorded: _Recorded, progress: Progress) -> _Searched:
         split = split_runs(machine, logs, pushes)
         if not split.enough:
             raise _InsufficientError(too_cut(split))
-        rightly = partial(taken_rightly, machine, split.fitting, least) if left else None
+        other = partial(other_machine, machine, split.fitting, least) if left else None
         try:
             outcome = search(
-                machine, split.fitting, noise, progress, first.without_effects(), rightly, outcome
+                machine, split.fitting, noise, progress, first.without_effects(), other, outcome
             )
         except MistakenError as error:
             least, machine = error.effects, error.machine

@@ -85,7 +85,7 @@ def _read_after(runs: Sequence[Run]) -> list[Run]:
     return [replace(run, recording=run.recording.reading_before(False)) for run in runs]
 
 
-def taken_rightly(
+def other_machine(
     machine: Machine, runs: Sequence[Run], least: int, model: Hypothesis, noise: Noise
 ) -> Machine | None:
     """Return the robot whose commands move as a model surely shows, if not as a first one did.

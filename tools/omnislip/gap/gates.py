@@ -222,12 +222,12 @@ def _turn_rates(machine: Machine, log: Log) -> tuple[Array, Array, Array] | None
     grid = np.arange(log.t_s[0], log.t_s[-1], GRID_S)
     turned = np.interp(grid, log.t_s, _body_travel(machine, log)[:, 2])
     shown = np.interp(grid, log.t_s[rows], log.columns["gyro/z_rad_s"][rows])
-    smooth = np.ones(5) / 5
-    return (
-        grid,
-        np.convolve(np.gradient(turned, GRID_S), smooth, "same"),
-        np.convolve(shown, smooth, "same"),
-    )
+    return grid, _over_50_ms(np.gradient(turned, GRID_S)), _over_50_ms(shown)
+
+
+def _over_50_ms(values: Array) -> Array:
+    """Means of what is on the grid."""
+    return np.convolve(values, np.ones(5) / 5, "same")
 
 
 def _lag_s(reference: Array, shown: Array) -> tuple[float, float]:
@@ -678,7 +678,7 @@ def _late(machine: Machine, log: Log) -> str | None:
 def _believed_turn_rate(machine: Machine, log: Log, grid: Array) -> Array:
     """Turn rate of the believed model on the grid, averaged over 50 ms; 0 where it is lost."""
     turn_rate = np.interp(grid, log.t_s, _driven_blindly(machine, log)[:, YAW])
-    return np.convolve(np.nan_to_num(turn_rate), np.ones(5) / 5, "same")
+    return _over_50_ms(np.nan_to_num(turn_rate))
 
 
 def _words(lag_s: float) -> str:
@@ -692,7 +692,7 @@ def _camera_turn_rate(log: Log, grid: Array) -> Array | None:
         return None
     heading = np.unwrap(log.columns["pose/theta_rad"][rows])
     shown = np.interp(grid, log.t_s[rows], heading, np.nan, np.nan)
-    return np.convolve(np.gradient(shown, GRID_S), np.ones(5) / 5, "same")
+    return _over_50_ms(np.gradient(shown, GRID_S))
 
 
 def _turned(change: Array) -> Array:

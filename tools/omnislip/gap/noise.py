@@ -26,8 +26,8 @@ Array = npt.NDArray[np.float64]
 
 SHAFT, BODY, YAW, DISTURBANCES = slice(0, 4), slice(8, 10), 10, slice(-7, None)
 GYRO, POSE_XY, HEADING, SUPPLY, CURRENT = 4, slice(5, 7), 7, 8, slice(9, 13)
-COLOUR_RATE = 11
-"""Place of the disturbances' rate among the logarithms of a robot."""
+COLOUR_RATE, CONTACT = 11, 12
+"""Places of the disturbances' rate and of forces at contacts among the logarithms of a robot."""
 TUNING_TIME_S = 12.0
 PATHS, ROUNDS, TRIALS = 4, 12, 4
 PROBE = 0.2
@@ -405,7 +405,7 @@ def _robot_start(runs: Sequence[Run]) -> Guess:
     lasting = [100.0 * half, 1e-3 * half, 1e-2 * half, COLOUR_RATE_1_S, CONTACT_N2]
     logs = np.concatenate([np.log(pushes), moving[:3], np.log(rows + lasting), moving[3:]])
     low, high = logs - LEAST, np.full(len(logs), np.inf)
-    places = [3, 4, 5, *range(COLOUR_RATE + 2, len(logs))]
+    places = [3, 4, 5, *range(CONTACT + 1, len(logs))]
     low[places] = np.minimum(quiet, moving) - SENSOR_MARGIN
     high[places] = moving + SENSOR_MARGIN
     low[COLOUR_RATE], high[COLOUR_RATE] = np.log(COLOUR_RATES_1_S)

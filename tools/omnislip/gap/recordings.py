@@ -9,7 +9,7 @@ import numpy.typing as npt
 from omnislip import _core
 from omnislip.errors import InputError
 from omnislip.gap.machine import Machine
-from omnislip.gap.within_rows import parted_at_jumps, rises
+from omnislip.gap.within_rows import joined, parted_at_jumps, rises
 from omnislip.log_file import AXIS_OPTIONAL, POSE_COLUMNS, Log
 from omnislip.model_file import Model
 
@@ -135,12 +135,8 @@ class Run:
         Rows beside lost ones are means of several commands: there they jump as the means tell.
         """
         run = self.held_in_rows()
-        length_s = np.append(np.diff(run.t_s), run.row_s)
-        second = run.jumped[length_s[run.jumped - 1] + length_s[run.jumped] < LOST * run.row_s]
-        command = run.command.copy()
-        share = (length_s[second] / (length_s[second - 1] + length_s[second]))[:, None]
-        mean = (1.0 - share) * command[second - 1] + share * command[second]
-        command[second - 1] = command[second] = mean
+        whole = run.t_s[run.jumped + 1] - run.t_s[run.jumped - 1] < LOST * run.row_s
+        command = joined(run.t_s, run.command, run.jumped[whole])
         return replace(run.commanded(command), parted=run)
 
     def taken_as(self, machine: Machine) -> "Run":

@@ -114,14 +114,14 @@ def search(
     noise: Noise | None,
     progress: Progress,
     start: Hypothesis | None = None,
-    rightly: Callable[[Hypothesis, Noise], Machine | None] | None = None,
+    other_machine: Callable[[Hypothesis, Noise], Machine | None] | None = None,
     before: Outcome | None = None,
 ) -> Outcome:
     """Find the missing effects on runs of two units or more.
 
     From a first `noise` and believed keys `start` that fit better than the file's, or none.
-    `rightly` is asked, by each better model and its noise, whether the runs are those of another
-    machine; then MistakenError is raised. `before`: what was found when other pushes were cut out
+    `other_machine` is asked, by each better model and its noise, whether the runs are those of
+    another; then MistakenError is raised. `before`: what was found when other pushes were cut out
     of the same logs, to go on from if all of that holds.
     """
     candidates = machine.candidates_for(runs)
@@ -187,8 +187,8 @@ def search(
         except RunawayError:
             trials = [_lost(trial) if trial.step == step else trial for trial in trials]
             break
-        other = rightly(current.hypothesis, data.noise) if rightly is not None else None
-        if other is not None:
+        other = other_machine(current.hypothesis, data.noise) if other_machine else None
+        if other:
             raise MistakenError(len(current.hypothesis.effects), other)
         settled = current
         data, current = patch_settled(data, extend_effects(machine, data, current))

@@ -18,7 +18,6 @@ from omnislip.gap.machine import Machine
 from omnislip.gap.noise import no_load_speed_rad_s
 
 Array = npt.NDArray[np.float64]
-
 Of = Callable[[Array, Array], Array]
 """(state (rows, n), command (rows, motors)) -> (rows, motors)"""
 

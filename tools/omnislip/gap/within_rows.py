@@ -95,6 +95,16 @@ def parted_at_jumps(
     )
 
 
+def joined(t_s: Array, command: Array, second: npt.NDArray[np.intp]) -> Array:
+    """Return commands (rows, motors) with the mean of both rows where `second` was parted off."""
+    before_s, after_s = t_s[second] - t_s[second - 1], t_s[second + 1] - t_s[second]
+    share = (after_s / (before_s + after_s))[:, None]
+    command = command.copy()
+    mean = (1.0 - share) * command[second - 1] + share * command[second]
+    command[second - 1] = command[second] = mean
+    return command
+
+
 def _share_before(gone: Array, jump: Array) -> Array:
     """Share (rows, 1) of the row before a jump (rows, motors) by how far its mean has gone."""
     square = np.maximum(np.sum(jump**2, axis=1, keepdims=True), 1e-12)
