@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from omnislip.gap import find, gates
 from omnislip.gap.events import Impact
@@ -418,8 +418,13 @@ def test_a_few_missing_rows_are_no_gap(good):
 
 
 @settings(max_examples=15, deadline=None)
-@given(st.integers(10, 440), st.floats(0.15, 3.0), st.floats(0, 2 * np.pi))
+@given(st.integers(-10, 440), st.floats(0.15, 3.0), st.floats(0, 2 * np.pi))
+@example(0, 0.7, 1.0)
+@example(1, 0.7, 1.0)
+@example(-2, 0.7, 1.0)
+@example(-1, 0.7, 1.0)
 def test_a_single_false_pose_is_blanked(number, size_m, bearing):
+    """Be it the first or the last (negative numbers count from the end)."""
     log = drive()
     row = np.flatnonzero(~np.isnan(log.columns[POSE[0]]))[number]
     x, y = log.columns[POSE[0]].copy(), log.columns[POSE[1]].copy()

@@ -2,6 +2,7 @@
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from omnislip.gap import judge
 from omnislip.gap.inference import fit, weigh
@@ -52,6 +53,30 @@ def test_a_small_fall_of_grip_is_told_where_no_law_takes_its_place(tmp_path, see
     data, base = settle(robot, runs, believed_hypothesis(robot))
     falling = fit(data, base.hypothesis.with_effect(candidates["grip_falloff"], sizes))
     assert within_law(data, base, falling, 0) == (law == "brush")
+
+
+@pytest.mark.parametrize("scale", [0.6, 1.0])
+def test_a_slope_that_no_law_has_is_told_beside_another_curve(tmp_path, monkeypatch, scale):
+    """However little it explains beside what friction off its law may leave."""
+    hidden = HiddenEffect("slip_stiffness_error", {"scale": scale}).as_dict()
+    case = TruthCase(
+        seed=514,
+        effects=(hidden,) if scale != 1.0 else (),
+        friction_curve="rational",
+        excitation="rich",
+        runs=4,
+        run_duration_s=5.0,
+    )
+    robot, runs, candidates = robot_runs(case, tmp_path)
+    [rational] = [
+        e for e in robot.extensions("contact_shape") if e.parameters[0].label == "rational"
+    ]
+    start = believed_hypothesis(robot).with_effect(candidates["contact_shape"], [0.0])
+    start = start.with_effect(rational, [0.95]).last_two_joined()
+    start = start.with_effect(candidates["slip_stiffness_error"], [scale])
+    data, both = settle(robot, runs, start)
+    monkeypatch.setattr(judge, "left_by_law", lambda *_: np.inf)
+    assert within_law(data, both.refitted_without(data, 1), both, 1) == (scale == 1.0)
 
 
 @pytest.mark.parametrize(("name", "left"), [("contact_shape", False), ("rolling_resistance", True)])

@@ -761,11 +761,12 @@ def _without_jumps(log: Log) -> tuple[Log, list[float], list[float], float | Non
         return log, [], [], None
     t_s, pose = log.t_s[rows], np.stack([log.columns[c][rows] for c in POSE_COLUMNS], axis=1)
     steps = _turned(np.diff(pose, axis=0)) / np.diff(t_s)[:, None]
-    rate = median_filter(np.vstack([steps[:1], steps]), size=(NEIGHBOURS, 1), mode="nearest")
+    # Mirrored, for a false pose at an end of the log would be its own neighbour.
+    rate = median_filter(steps, size=(NEIGHBOURS, 1), mode="mirror")
 
     def jumps(last: int, now: int) -> bool:
         dt_s = t_s[now] - t_s[last]
-        off = np.abs(_turned(pose[now] - pose[last] - rate[now] * dt_s))
+        off = np.abs(_turned(pose[now] - pose[last] - rate[now - 1] * dt_s))
         return bool(
             np.hypot(off[0], off[1]) > STEP_M + STEP_M_S * dt_s
             or off[2] > TURN_RAD + TURN_RAD_S * dt_s
@@ -778,7 +779,10 @@ def _without_jumps(log: Log) -> tuple[Log, list[float], list[float], float | Non
             continue
         first = first if first is not None else float(t_s[now])
         if now + 1 < len(rows) and not jumps(now, now + 1):
-            cuts.append(float(t_s[now]))
+            if now == 1:
+                false.append(0)  # one pose alone before all others
+            else:
+                cuts.append(float(t_s[now]))
             last = now
         else:
             false.append(now)

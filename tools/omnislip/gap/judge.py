@@ -205,23 +205,25 @@ def within_law(data: Data, without: Fit, fitted: Fit, index: int) -> bool:
     As `left_by_shapes` has it, for what friction does as a whole: all of it, for it is proportional
     to the grip. Not where no law that the curve can take explains as much in the effect's place.
     """
-    effects = fitted.hypothesis.effects
-    if effects[index].effect not in CURVES:
+    if fitted.hypothesis.effects[index].effect not in CURVES:
         return False
     if without.objective - fitted.objective > left_by_law(data, without, fitted):
         return False
-    if any(effect.effect == CURVE for effect in effects):
-        return True
     return _any_law(data, without).objective < fitted.objective + SURE_GAIN
 
 
 def _any_law(data: Data, without: Fit) -> Fit:
-    """Fit the friction curve with all that refines it beside a model without it."""
-    model = without.hypothesis
-    [curve] = [c for c in data.machine.candidates() if c.effect == CURVE]
-    refined = model.with_effect(curve, [LITTLE_CURVED])
+    """Fit the friction curve with all that refines it in a model, from what of it is there."""
+    refined = without.hypothesis
+    if not any(effect.effect == CURVE for effect in refined.effects):
+        [curve] = [c for c in data.machine.candidates() if c.effect == CURVE]
+        refined = refined.with_effect(curve, [LITTLE_CURVED])
+    place = next(k for k, effect in enumerate(refined.effects) if effect.effect == CURVE)
+    refined = refined.moved_last(place)
+    have = {parameter.label for parameter in refined.effects[-1].parameters}
     for extension in data.machine.extensions(CURVE):
-        refined = refined.with_effect(extension, [LITTLE_CURVED]).last_two_joined()
+        if extension.parameters[0].label not in have:
+            refined = refined.with_effect(extension, [LITTLE_CURVED]).last_two_joined()
     return fit(data, refined)
 
 
