@@ -333,17 +333,38 @@ def test_runs_that_hardly_excite_a_sure_effect_do_not_take_its_name(gap, gains, 
     assert closes_nothing(effects, table) != named
 
 
+@pytest.mark.parametrize(
+    ("high", "usual", "gain", "named"),
+    [
+        (0.19, 1.3, 1e4, True),
+        (0.1, 1.3, 1e4, False),
+        (0.19, 1.0, 1e4, False),
+        (0.0, 1.6, 1e4, True),
+        (0.19, 1.3, 100.0, False),
+    ],
+)
+def test_only_what_is_more_than_a_run_that_is_explained_keeps_is_to_be_closed(
+    high, usual, gain, named
+):
+    """1.95 floors are off, of which chance larger than the predictor's is `usual`."""
+    closed = Closed(0.0, -0.3, high, gap=1.95)
+    table = SimpleNamespace(left=Left(1.7, 0.9, usual), closed=closed, floor_source="predicted")
+    assert closes_nothing([selected("driver_nonlinearity", gain)], table) != named
+
+
 def test_a_sentence_does_not_speak_of_a_gap_that_held_out_runs_do_not_have():
     effects = [selected("low_grip", 1e4)]
 
-    def sentence(closed):
+    def sentence(closed, usual=0.0):
         outcome = SimpleNamespace(selected=effects)
-        table = SimpleNamespace(closed=closed)
+        table = SimpleNamespace(closed=closed, left=Left(0.4, 0.2, usual=usual))
         return verdict_words("effect_found", ROBOT, outcome, table, [], None, [], [], [])
 
-    told = sentence(Closed(-0.24, -0.74, -0.03, gap=0.33))
-    assert "only 0.33 noise floors are off there" in told
+    told = sentence(Closed(-0.24, -0.74, -0.03, gap=0.33), 0.1)
+    assert "only 0.33 noise floors are off there, and" in told
     assert "%" not in told
+    told = sentence(Closed(0.1, -0.01, 0.2, gap=1.95), 1.3)
+    assert "only 1.9 noise floors are off there (where it explains a run it leaves 1.3)" in told
     assert "95 % of the gap on held-out runs closes (90 to 100 %)" in sentence(
         Closed(0.95, 0.9, 1.0, gap=30.0)
     )

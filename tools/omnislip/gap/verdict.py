@@ -71,14 +71,16 @@ def closes_nothing(selected: Sequence[Selected], table: GapTable) -> bool:
     weak effect that shows sample by sample; but then its name has to be stable, and no faint change
     of the friction curve: a law that is off by less than any is on a floor is a believed one. Where
     so little is off that runs which hardly excite an effect may be all that there is (a carpet's
-    grain where no wheel slips), what is sure elsewhere is named.
+    grain where no wheel slips), or so little more than in a run that the model explains (chance
+    is larger there), what is sure elsewhere is named.
     """
     if much_is_left(table, selected):
         return False
     if table.closed.high is None:
         return all(one.stability < STABLE or _faint_curve(one) for one in selected)
-    if table.closed.gap < LEAST_EXCESS and all(_sure(one) for one in selected):
-        return False
+    if all(_sure(one) for one in selected):
+        shown = table.closed.gap - table.left.usual
+        return shown >= LEAST_EXCESS and table.closed.high * table.closed.gap < PROVEN * shown
     return table.closed.high < PROVEN
 
 

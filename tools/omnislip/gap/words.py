@@ -109,6 +109,11 @@ def weak_names(selected: Sequence[Selected]) -> list[str]:
     ]
 
 
+def _as_usual(table: GapTable) -> str:
+    usual = table.left.usual
+    return f" (where it explains a run it leaves {usual:.2g})" if usual >= LEAST_EXCESS else ""
+
+
 def verdict_words(
     verdict: str,
     machine: Machine,
@@ -175,9 +180,9 @@ def verdict_words(
     closed = table.closed
     if closed.value is not None and closed.high < PROVEN:  # so it is sure elsewhere
         text += (
-            f" Held-out runs hardly show it: only {closed.gap:.2g} noise floors are off there, and"
-            " the model with it does not come nearer. Drive what was fitted again to see a gap"
-            " close."
+            f" Held-out runs hardly show it: only {closed.gap:.2g} noise floors are off there"
+            f"{_as_usual(table)}, and the model with it hardly comes nearer. Drive what was fitted"
+            " again to see a gap close."
         )
     elif closed.value is not None:
         text += (
