@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from omnislip.gap import judge
-from omnislip.gap.inference import fit, weigh
+from omnislip.gap.inference import fit, spread_over_runs, weigh
 from omnislip.gap.judge import within_law
 from omnislip.gap.settle import believed_hypothesis, settle
 from omnislip.gap.truth import TruthCase
@@ -87,6 +87,35 @@ def test_the_friction_curve_owes_less_to_the_shapes_of_strong_effects(monkeypatc
     fitted = SimpleNamespace(hypothesis=SimpleNamespace(effects=(effect,)))
     evidence = SimpleNamespace(gain=27500.0, beyond_chance=3700.0)
     assert judge._left_by_shapes(None, None, fitted, 0, evidence) == left
+
+
+@pytest.mark.parametrize("common_rad_s", [4e-4, 4e-3])
+def test_a_zero_that_wanders_from_run_to_run_is_not_missing(tmp_path, common_rad_s):
+    """Unless it is three times what it wanders by."""
+    off_rad_s = 3e-4 * np.array([-1.0, 0.0, 1.0])
+    case = TruthCase(
+        seed=515,
+        effects=tuple(
+            HiddenEffect(
+                "gyro_bias", {"rate_rad_s": common_rad_s + off}, run=f"run_{k + 1:02d}"
+            ).as_dict()
+            for k, off in enumerate(off_rad_s)
+        ),
+        excitation="rich",
+        runs=3,
+        run_duration_s=5.0,
+    )
+    robot, runs, candidates = robot_runs(case, tmp_path)
+    data, base = settle(robot, runs, believed_hypothesis(robot))
+    biased = fit(data, base.hypothesis.with_effect(candidates["gyro_bias"], [common_rad_s]))
+    assert biased.hypothesis.values_of(0)[0] == pytest.approx(common_rad_s, abs=2e-4)
+    spread_rad_s = spread_over_runs(data, biased, 0)
+    assert spread_rad_s == pytest.approx(np.std(off_rad_s, ddof=1), rel=0.5)
+    assert (
+        judge.drifts(data, biased, 0) == (common_rad_s < 3 * spread_rad_s) == (common_rad_s == 4e-4)
+    )
+    rubbing = fit(data, base.hypothesis.with_effect(candidates["coulomb_friction"], [1e-5]))
+    assert not judge.drifts(data, rubbing, 0)
 
 
 def test_what_a_delay_does_that_no_log_can_time_is_no_effect(tmp_path):

@@ -937,6 +937,24 @@ def weigh(data: Data, without: Fit, with_effect: Fit, index: int) -> Evidence:
     return Evidence(gain, scatter.inflation, p_value, covariance, variation)
 
 
+def spread_over_runs(data: Data, fitted: Fit, index: int) -> float:
+    """Return the standard deviation from run to run of the one size of effect `index`.
+
+    A run of score s (m,) and residual r has a size that is s.r / s.s off the common one; each is
+    weighed by s.s, what it tells. 0 where less than two runs tell.
+    """
+    place = fitted.hypothesis.own(index).start
+    score, _ = _projected(fitted, [place])
+    own = zip(data.per_run(score[:, 0]), data.per_run(fitted.residual), strict=True)
+    off, known = np.array([(float(s @ r), float(s @ s)) for s, r in own]).T
+    told = known > 0
+    if np.sum(told) < 2:
+        return 0.0
+    square = np.sum(off[told] ** 2 / known[told]) / np.sum(known)
+    unbiased = np.sum(told) / (np.sum(told) - 1)
+    return float(fitted.hypothesis.parameters[place].scale * np.sqrt(square * unbiased))
+
+
 def _variation(
     data: Data, score: Array, information: Array, gain: float, inflation: float
 ) -> float:

@@ -15,6 +15,7 @@ from omnislip.gap.inference import (
     fitted_without_each_unit,
     left_by_shapes,
     most_along,
+    spread_over_runs,
     weigh,
 )
 from omnislip.gap.machine import CURVE, LESS_GRIP, Candidate
@@ -56,6 +57,9 @@ LITTLE_CURVED = 0.1
 """Share of every other law to start a free curve from."""
 WITHIN_LAW = "no more than friction is off its law on any floor"
 DELAY = "actuation_delay"
+DRIFTS, LEAST_BEYOND_DRIFT = ("gyro_bias",), 3.0
+"""Sizes that are no robot's: every gyro's zero wanders by some 1e-4 rad/s, from run to run by more
+than its noise tells. One is missing that is so many times as large as it wanders."""
 LAGS = (DELAY, "driver_lag", "armature_inductance")
 
 
@@ -108,6 +112,8 @@ def judge_candidate(
         reason, passed = "helps the predictor but not replays of runs that were not fitted", False
     if passed and within_row(data, candidate, values):
         reason, passed = TOO_SHORT, False
+    if passed and drifts(data, fitted, index):
+        reason, passed = "wanders from run to run by more than a third of itself", False
     if passed and _short_delay_does(data, without, fitted, evidence):
         reason, passed = "so does a delay that is shorter than the log can time", False
     return Trial(
@@ -132,6 +138,8 @@ def both_pass(data: Data, without: Fit, both: Fit, check: Check, tried: int) -> 
             return False
         away = sizes - neutral_sizes(data, rest.hypothesis, effect)
         if not differs_from_none(effect, away, evidence) or within_row(data, effect, sizes):
+            return False
+        if drifts(data, both, index):
             return False
         sure = sure and evidence.beyond_chance > SURE_GAIN
     return _replays_better(data, without, both, check, sure)
@@ -236,6 +244,14 @@ def left_by_law(data: Data, without: Fit, fitted: Fit) -> float:
     return SHAPE_SHARE * float(most)
 
 
+def drifts(data: Data, fitted: Fit, index: int) -> bool:
+    """Whether a sensor's offset wanders from run to run by more than a third of what it is."""
+    if fitted.hypothesis.effects[index].effect not in DRIFTS:
+        return False
+    [size] = fitted.hypothesis.values_of(index)
+    return bool(abs(size) < LEAST_BEYOND_DRIFT * spread_over_runs(data, fitted, index))
+
+
 def within_row(data: Data, candidate: Candidate, sizes: Array) -> bool:
     """Whether a lag is so short that it may be the averaging of the command over a row."""
     return candidate.effect in LAGS and bool(sizes[0] < shortest_lag(data, candidate.effect))
@@ -302,6 +318,7 @@ def drop_needless(data: Data, fitted: Fit, tried: int) -> Fit:
             or one.beyond_chance < data.feigned_gain
             or _left_by_shapes(data, without[index], fitted, index, one)
             or within_law(data, without[index], fitted, index)
+            or drifts(data, fitted, index)
         ]
         if not needless:
             break

@@ -79,8 +79,8 @@ def closes_nothing(selected: Sequence[Selected], table: GapTable) -> bool:
     if table.closed.high is None:
         return all(one.stability < STABLE or _faint_curve(one) for one in selected)
     if all(_sure(one) for one in selected):
-        shown = table.closed.gap - table.left.usual
-        return shown >= LEAST_EXCESS and table.closed.high * table.closed.gap < PROVEN * shown
+        gap, usual = table.closed.gap, table.left.usual
+        return gap - usual >= LEAST_EXCESS and table.closed.high < PROVEN * (1.0 - usual / gap)
     return table.closed.high < PROVEN
 
 
