@@ -437,9 +437,15 @@ def test_a_single_false_pose_is_blanked(number, size_m, bearing):
 
 
 @settings(max_examples=15, deadline=None)
-@given(st.integers(10, 1700), st.sampled_from([-1e30, -20.0, 6.0, 1e3]))
-def test_a_single_false_turn_rate_is_blanked_and_told(row, rate_rad_s):
+@given(st.integers(-10, 1700), st.sampled_from([-1e30, -20.0, 6.0, 1e3]))
+@example(0, 6.0)
+@example(1, 6.0)
+@example(-2, 6.0)
+@example(-1, 6.0)
+def test_a_single_false_turn_rate_is_blanked_and_told(number, rate_rad_s):
+    """Be it the first or the last (negative numbers count from the end)."""
     log = drive()
+    row = number % len(log.t_s)
     shown = log.columns["gyro/z_rad_s"].copy()
     shown[row] += rate_rad_s
     checked = check(MACHINE, [spoilt(log, gyro__z_rad_s=shown)])

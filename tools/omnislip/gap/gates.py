@@ -710,7 +710,7 @@ def _without_false_rates(log: Log) -> tuple[Log, list[float]]:
         return log, []
     shown = log.columns[name][rows]
     most = FALSE_RATE_RAD_S + FALSE_RATE_RAD_S2 * float(np.median(np.diff(log.t_s[rows])))
-    false = rows[np.abs(shown - median_filter(shown, 5, mode="nearest")) > most]
+    false = rows[np.abs(shown - median_filter(shown, 5, mode="mirror")) > most]
     if len(false) > max(3, MOST_JUMPS * len(rows)):
         return log, []
     return _blanked(log, [name], false), log.t_s[false].tolist()

@@ -223,15 +223,13 @@ def within_law(data: Data, without: Fit, fitted: Fit, index: int) -> bool:
 def _any_law(data: Data, without: Fit) -> Fit:
     """Fit the friction curve with all that refines it in a model, from what of it is there."""
     refined = without.hypothesis
-    if not any(effect.effect == CURVE for effect in refined.effects):
+    if CURVE in {effect.effect for effect in refined.effects}:
+        refined = refined.moved_last(refined.place_of(CURVE))
+    else:
         [curve] = [c for c in data.machine.candidates() if c.effect == CURVE]
         refined = refined.with_effect(curve, [LITTLE_CURVED])
-    place = next(k for k, effect in enumerate(refined.effects) if effect.effect == CURVE)
-    refined = refined.moved_last(place)
-    have = {parameter.label for parameter in refined.effects[-1].parameters}
-    for extension in data.machine.extensions(CURVE):
-        if extension.parameters[0].label not in have:
-            refined = refined.with_effect(extension, [LITTLE_CURVED]).last_two_joined()
+    for refinement in data.machine.refinements(refined.effects[-1]):
+        refined = refined.with_effect(refinement, [LITTLE_CURVED]).last_two_joined()
     return fit(data, refined)
 
 

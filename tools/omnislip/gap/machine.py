@@ -287,6 +287,11 @@ class Machine:
             if (effect, p["name"]) in EXTENSIONS
         ]
 
+    def refinements(self, candidate: Candidate) -> list[Candidate]:
+        """Return the extensions of an effect that it does not have yet."""
+        have = {p.label for p in candidate.parameters}
+        return [e for e in self.extensions(candidate.effect) if e.parameters[0].label not in have]
+
     def effect_of(self, candidate: Candidate, values: Iterable[float]) -> Effect:
         """Return the effect of a model file that a candidate with these values is."""
         parameters = {

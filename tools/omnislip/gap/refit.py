@@ -242,12 +242,7 @@ def _refined(machine: Machine, data: Data, fitted: Fit, name: str) -> Fit | None
     """Return the model with the best refinement of the effect `name`; None where none passes."""
     place = fitted.hypothesis.place_of(name)
     effect, index = fitted.hypothesis.effects[place], len(fitted.hypothesis.effects)
-    have = {p.label for p in effect.parameters}
-    offered = [
-        Screened(0.0, extension, np.array([0.1]))
-        for extension in machine.extensions(effect.effect)
-        if extension.parameters[0].label not in have
-    ]
+    offered = [Screened(0.0, one, np.array([0.1])) for one in machine.refinements(effect)]
     ordered, passing = fitted.moved_last(place), []
     for one, refined in zip(offered, refit_each(data, ordered, offered), strict=True):
         evidence = weigh(data, ordered, refined, index)
