@@ -10,6 +10,7 @@ from omnislip.gap.judge import within_law
 from omnislip.gap.settle import believed_hypothesis, settle
 from omnislip.gap.truth import TruthCase
 from omnislip.gap.truth_effects import HiddenEffect
+from scipy.stats import chi2
 from truth_bench import robot_runs
 
 
@@ -135,20 +136,37 @@ def test_what_a_delay_does_that_no_log_can_time_is_no_effect(tmp_path):
         without = early if name != "coulomb_friction" else early.refitted_without(data, 0)
         fitted = fit(data, without.hypothesis.with_effect(candidates[name], [size]))
         evidence = weigh(data, without, fitted, -1)
-        return judge._short_delay_does(data, without, fitted, evidence)
+        return judge._short_delay_does(data, without, fitted, evidence, len(candidates))
 
     assert instead("armature_inductance", 2e-4)
     assert not instead("coulomb_friction", 0.005)
 
 
 @pytest.mark.parametrize(
-    ("gain", "of_delay", "instead"),
-    [(500.0, 490.0, True), (500.0, 400.0, False), (20.0, 5.0, False)],
+    ("gain", "of_delay", "of_both", "instead"),
+    [
+        (500.0, 490.0, 500.0, True),
+        (500.0, 400.0, 500.0, False),
+        (20.0, 5.0, 30.0, False),
+        (150.0, 460.0, 625.0, False),
+        (150.0, 460.0, 480.0, True),
+    ],
 )
-def test_a_weak_effect_gives_way_to_no_delay_that_does_not_show(
-    monkeypatch, gain, of_delay, instead
+def test_an_effect_gives_way_to_a_delay_only_if_it_explains_no_more_beside_it(
+    monkeypatch, gain, of_delay, of_both, instead
 ):
-    without, timed, fitted = (SimpleNamespace(objective=-one) for one in (0.0, of_delay, gain))
-    monkeypatch.setattr(judge, "beside_short_delay", lambda *_: timed)
-    evidence = SimpleNamespace(inflation=1.0)
-    assert judge._short_delay_does(None, without, fitted, evidence) == instead
+    """A delay that does not show explains nothing; one that does may stand beside an effect."""
+    model = SimpleNamespace(effects=())
+    without, fitted, timed, both = (
+        SimpleNamespace(objective=-one, hypothesis=model) for one in (0.0, gain, of_delay, of_both)
+    )
+    beside = {id(without): timed, id(fitted): both}
+    monkeypatch.setattr(judge, "beside_short_delay", lambda _, one: beside[id(one)])
+
+    def white(data, before, after, index):
+        more = before.objective - after.objective
+        return SimpleNamespace(p_value=chi2.sf(more, 1), beyond_chance=more)
+
+    monkeypatch.setattr(judge, "weigh", white)
+    data, evidence = SimpleNamespace(feigned_gain=0.0), SimpleNamespace(inflation=1.0)
+    assert judge._short_delay_does(data, without, fitted, evidence, 80) == instead

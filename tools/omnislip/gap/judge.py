@@ -114,7 +114,7 @@ def judge_candidate(
         reason, passed = TOO_SHORT, False
     if passed and drifts(data, fitted, index):
         reason, passed = "wanders from run to run by more than a third of itself", False
-    if passed and _short_delay_does(data, without, fitted, evidence):
+    if passed and _short_delay_does(data, without, fitted, evidence, tried):
         reason, passed = "so does a delay that is shorter than the log can time", False
     return Trial(
         step, candidate, values, evidence, chance, check.gain, check.voters.any(), reason, passed
@@ -281,11 +281,22 @@ def beside_short_delay(data: Data, fitted: Fit) -> Fit:
     return later if later.objective < fitted.objective else fitted
 
 
-def _short_delay_does(data: Data, without: Fit, fitted: Fit, evidence: Evidence) -> bool:
-    """Whether a delay that no log can time shows, and as much, in the place of the last effect."""
-    timed, visible = beside_short_delay(data, without), VISIBLE_GAIN * evidence.inflation
-    gain, lost = without.objective - timed.objective, timed.objective - fitted.objective
-    return gain > visible and lost < visible
+def _short_delay_does(
+    data: Data, without: Fit, fitted: Fit, evidence: Evidence, tried: int
+) -> bool:
+    """Whether a delay that no log can time shows, and the last effect explains no more beside it.
+
+    Not whether either does as well: commands that act a tenth of a row late may hide what a carpet
+    does as well as feign an inductance.
+    """
+    timed = beside_short_delay(data, without)
+    if without.objective - timed.objective <= VISIBLE_GAIN * evidence.inflation:
+        return False
+    both = beside_short_delay(data, fitted)
+    beside = weigh(data, timed, both, len(without.hypothesis.effects))
+    if beside.p_value * tried >= ALPHA:
+        return True
+    return beside.beyond_chance < max(VISIBLE_GAIN, data.feigned_gain)
 
 
 def differs_from_none(candidate: Candidate, sizes: Array, evidence: Evidence) -> bool:
