@@ -106,7 +106,7 @@ class About:
 
 
 PLACED = {
-    "hill": About(hill_slope, hill_term, (0.1, 0.2, 0.35), 0.0),
+    "hill": About(hill_slope, hill_term, (0.1, 0.2, 0.35, 0.6), 0.0),
     "pull": About(pull_to, pull_term, (0.05,), 1.0),
 }
 
