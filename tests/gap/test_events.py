@@ -91,6 +91,40 @@ def test_a_light_push_just_before_a_hard_one_is_found():
     assert shown == [True, False]
 
 
+def pushed_while_turning(latency_s):
+    """A robot that turns at 5 rad/s below a camera that is late, and is pushed at 2.5 s."""
+    model = read_model(NOMINAL_ROBOT)
+    model = replace(model, effects=[Effect("pose_latency", {"delay_s": latency_s})])
+    push = Effect("impact", dict(zip(IMPACT_KEYS, (2.5, 2.0, 0.0, 0.0), strict=True)), run="run")
+    driving = [{"t_s": 0.0, "kind": "velocity", "value": [0.3, 0.2, 5.0]}]
+    pushed = replace(model, effects=[*model.effects, push])
+    sensors = Sensors(pose_noise_m=0.001)
+    scenario = Scenario("run", 4.0, pushed, driving, sensors=sensors, seed=1)
+    machine = Machine(model)
+    calm = replace(scenario, model=model, seed=2)
+    run, quiet = (make_run(machine, make_log(s, simulate_truth(s))) for s in (scenario, calm))
+    return machine, run, tune_noise(machine, [quiet], machine.believed)
+
+
+@pytest.mark.parametrize("latency_s", [0.0, 0.035])
+def test_a_push_is_sized_up_by_what_a_late_camera_can_have_seen(latency_s):
+    """It shows 0.175 rad less than the robot has turned, and the push 35 ms later."""
+    machine, run, noise = pushed_while_turning(latency_s)
+    (impact,) = find_impacts(machine, [run], machine.believed, noise)
+    assert impact.time_s == pytest.approx(2.5, abs=0.015)
+    assert impact.misfit < 2.0
+    assert impact.impulse == pytest.approx([2.0, 0.0, 0.0], abs=0.2)
+
+
+def test_a_push_is_looked_for_behind_a_row_that_foresees_it_by_most_of_a_horizon():
+    machine, run, noise = pushed_while_turning(0.0)
+    [track] = track_all(machine, [run], machine.believed, noise, keep_linear=True)
+    pushes, pushed = events.Jumps(machine, run, track), int(np.searchsorted(run.t_s, 2.5))
+    raised = np.zeros(len(run.t_s), dtype=bool)
+    for early in (0, 6, 12):
+        assert abs(pushes.likeliest_row(pushed - early, raised) - pushed) <= 1
+
+
 def test_a_push_behind_the_row_that_foresees_it_is_found(tmp_path, monkeypatch):
     likeliest = events.Jumps.likeliest_row
     monkeypatch.setattr(events.Jumps, "likeliest_row", lambda *own: likeliest(*own) - 5)

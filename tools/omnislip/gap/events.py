@@ -92,6 +92,8 @@ LEAST_BETWEEN_S = 4.0
 LOST_ROWS = 2
 """Rows missing together from which on the command there is not known well enough to tell a push:
 a row's duty is said to hold until the next one, and may have been its own row's only."""
+LEAST_ROWS = 3
+"""By which a push is told at least."""
 REPLAY_STEP_S = 1e-3
 TIMES, SPAN_S, SPAN_ROWS, COARSE = 12, 0.024, 2, 4
 """How many times of a push are tried, over that span or so many rows up to the likeliest row."""
@@ -99,7 +101,7 @@ BEFORE_S, CUT_S = 0.01, 0.05
 """Left out before and after the time of a push: how early a light one may have been, and the
 contact of the pusher."""
 LEAST_PIECE_S = 1.0
-VELOCITY, HEADING = slice(8, 11), 13
+VELOCITY, HEADING, POSE = slice(8, 11), 13, slice(POSE_X, POSE_X + 3)
 PROBE = np.array([0.05, 0.05, 0.1])
 # Of the filtered state before a push: shaft speeds, encoder angles, body velocity, pose.
 STATE_VARIANCE = np.array([0.25] * 4 + [1e-6] * 4 + [1e-4, 1e-4, 1e-4, 1e-6, 1e-6, 1e-6])
@@ -502,11 +504,12 @@ class _Window:
     """The rows around a push as whitened replay errors that depend on its time and jump.
 
     Its times are those up to the row, or to a last one after it. The plant runs free from the
-    filtered state before the earliest of them. Commands are held within rows: over so few rows what
-    they do there is little beside the noise of a replay. What a row's stamp may be off by, all its
-    sensors are on by as far as they go in that time: errors are whitened against that, too. With d
-    what they go in a standard deviation of the stamp, (I + d d')^-1/2 takes a share
-    1 - 1 / sqrt(1 + d'd) of the errors along d away.
+    filtered state before the earliest of them. What a late camera shows of before that is not
+    known, and what it shows of before a push is as without it. Commands are held within rows: over
+    so few rows what they do there is little beside the noise of a replay. What a row's stamp may be
+    off by, all its sensors are on by as far as they go in that time: errors are whitened against
+    that, too. With d what they go in a standard deviation of the stamp, (I + d d')^-1/2 takes a
+    share 1 - 1 / sqrt(1 + d'd) of the errors along d away.
     """
 
     def __init__(
@@ -529,12 +532,15 @@ class _Window:
         self._command = run.command[first - 1 : end]
         self._outputs = run.outputs[first - 1 : end].copy()
         self._outputs[0] = np.nan
+        self._shown_s = machine.shown_s(values, self._t_s)
+        self._outputs[self._shown_s < self._t_s[0], POSE] = np.nan
         self._start = filtered[first - 1][: machine.engine.states]
         calm = machine.recording(self._t_s, self._command, self._outputs, self._start)
         track = self._track(calm, keep_linear=True)
         self._weight = 1.0 / np.sqrt(track.replay_variance.reshape(self._outputs.shape))
         self._late = STAMP_S * stamp_slope(self._t_s, self._outputs, track) * self._weight
-        self._calm = self._whitened(self._replayed(calm), 0)
+        self._calm_errors = self._replayed(calm)
+        self._calm = self._whitened(self._calm_errors, 0)
         latest_s = run.t_s[row if last is None else last]
         edges_s = np.linspace(max(earliest_s, self._t_s[0]), latest_s, TIMES + 1)
         self.times_s = (0.5 * (edges_s[1:] + edges_s[:-1])).tolist()
@@ -589,7 +595,10 @@ class _Window:
             np.concatenate([blank, self._outputs[row + 1 :]]),
             state,
         )
-        after = self._whitened(self._replayed(recording)[1:], row + 1)
+        errors = self._replayed(recording)[1:]
+        before = self._shown_s[row + 1 :] < time_s
+        errors[before, POSE] = self._calm_errors[row + 1 :][before, POSE]
+        after = self._whitened(errors, row + 1)
         return np.nan_to_num(np.concatenate([self._calm[: row + 1], after])).ravel()
 
     def to_world(self, time_s: float) -> Array:
@@ -687,7 +696,7 @@ class Jumps:
         self.shown = -(whitening @ slope)
         self._transition = track.transition.reshape(rows, n, n)
         self.carry = self._transition - self._transition @ gain @ slope
-        self.horizon = max(3, round(horizon_s / run.row_s))
+        self.horizon = max(LEAST_ROWS, round(horizon_s / run.row_s))
         self._unit = np.eye(n)[:, jumped]
         self.t_s = run.t_s
         # A log that begins at rest begins from a known state. Else the filter has to find it.
@@ -753,15 +762,17 @@ class Jumps:
     def likeliest_row(self, peak: int, raised: npt.NDArray[np.bool_]) -> int:
         """Return the row before which a push explains most of the rows around a peak of g.
 
-        g looks one horizon ahead of its row; rows can be compared only over the same rows. While
-        wheels slide the sensors may tell of a push long after it: then it lies anywhere where g is
-        `raised` (rows,) up to the peak.
+        g looks one horizon ahead of its row; rows can be compared only over the same rows. A filter
+        that expects little chance is misled for long by a hard push: g may be largest where most of
+        what misled rows show is still ahead, some rows before the push. While wheels slide the
+        sensors may tell of a push long after it: then it lies anywhere where g is `raised` (rows,)
+        up to the peak.
         """
         end = min(peak + self.horizon, len(self.white))
         first = peak - self.horizon
         while first > 0 and raised[first - 1] and self.t_s[peak] - self.t_s[first - 1] < APART_S:
             first -= 1
-        rows = range(max(self.earliest, first), peak + 1)
+        rows = range(max(self.earliest, first), max(peak + 1, end - LEAST_ROWS))
         return max(rows, key=lambda row: self._explained_until(row, end))
 
     def _explained_until(self, row: int, end: int) -> float:

@@ -212,6 +212,17 @@ class Machine:
         less[list(self.place("low_grip", "scale", None))] *= 1.0 - LESS_GRIP
         return less
 
+    def shown_s(self, values: Array, time_s: Array) -> Array:
+        """Return the times whose pose a robot's camera shows in rows of some times (rows,).
+
+        `values` are a flat set.
+        """
+        [delay_s], [fraction] = (
+            values[list(self.place(effect, parameter, None))]
+            for effect, parameter in (("pose_latency", "delay_s"), ("clock_skew", "fraction"))
+        )
+        return time_s - (delay_s + fraction * time_s)
+
     def inertias(self, values: Array) -> tuple[float, float, Array]:
         """Return mass, inertia (kg m2) and those of the shafts (wheels,) of a robot, effects in it.
 
