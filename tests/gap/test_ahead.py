@@ -1,5 +1,7 @@
 """One step further than the search: sizes far from none, pairs, the noise beside an effect."""
 
+from types import SimpleNamespace
+
 import pytest
 from axis_bench import Bench, make_machine, make_runs, silent
 from omnislip.gap.ahead import Ahead
@@ -7,6 +9,7 @@ from omnislip.gap.inference import fit
 from omnislip.gap.judge import SURE_GAIN
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import track_all
+from omnislip.gap.search import _much_is_there
 from omnislip.gap.settle import believed_hypothesis, settle
 from omnislip.gap.truth import TruthCase
 from omnislip.gap.truth_effects import HiddenEffect
@@ -105,6 +108,32 @@ def test_bristles_are_found_along_their_own_filter(tmp_path, length_m):
     else:
         assert further is None
         assert ahead.trials == []
+
+
+@pytest.mark.parametrize("length_m", [0.02, 0.0])
+def test_bristles_are_found_each_size_by_noise_that_fits_it(tmp_path, length_m):
+    """As a tyre relaxes: in a longer way than the floor is rough; where none are, none are found."""
+    hidden = (HiddenEffect("bristle_relaxation", {"length_m": length_m}),) if length_m else ()
+    effects = tuple(effect.as_dict() for effect in hidden)
+    robot, runs, _ = robot_runs(TruthCase(seed=21007, effects=effects, runs=2), tmp_path)
+    data, current = settle(robot, runs, believed_hypothesis(robot))
+    ahead = Ahead(data, current, robot.candidates(), 1, 100, silent)
+    further = ahead.far_by_its_noise()
+    if length_m:
+        assert further.trial.candidate.name == "bristle_relaxation"
+        assert further.fitted.hypothesis.values_of(0)[0] == pytest.approx(length_m, rel=0.03)
+    else:
+        assert further is None
+        assert ahead.trials == []
+
+
+@pytest.mark.parametrize(
+    ("gain", "promise", "much"), [(150.0, 20.0, False), (250.0, 20.0, True), (10.0, 250.0, True)]
+)
+def test_what_no_chance_gives_is_worth_looking_further(gain, promise, much):
+    trial = SimpleNamespace(evidence=SimpleNamespace(gain=gain, inflation=30.0))
+    assert _much_is_there([(trial, None)], [SimpleNamespace(promise=promise)]) is much
+    assert not _much_is_there([], [])
 
 
 def test_answers_within_a_row_are_no_delay_of_some_rows(tmp_path):

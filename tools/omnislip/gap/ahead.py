@@ -33,10 +33,10 @@ BEAM, BEAM_REFITS = 3, 6
 PULLED_BY = (1.5, 2.0, 3.0)
 """How much larger an effect may be than noise that covers it lets it seem."""
 FAR_DELAYS_ROWS = (1.5, 2.0, 3.0, 4.0, 6.0)
-FAR_SIZES = {"gear_backlash": (0.4, 1.35, 13), "bristle_relaxation": (0.2, 1.6, 9)}
+FAR_SIZES = {"gear_backlash": (0.4, 1.35, 13), "bristle_relaxation": (0.2, 1.6, 12)}
 """Delays, in rows, and sizes where no derivative leads: the first in its scale, its factor to the
-next and how many (plays of 4 to 150 mrad of a robot, bristles of 0.2 to 9 mm). Of 63 mrad a play of
-40 explains less than none."""
+next and how many (plays of 4 to 150 mrad of a robot, bristles of 0.2 to 35 mm). Of 63 mrad a play
+of 40 explains less than none."""
 FAR_STEPS = (0.5, 0.25)
 """Steps from the best of them, in rows or steps from size to size."""
 
@@ -174,6 +174,17 @@ class Ahead:
         size = found.fitted.hypothesis.values_of(len(current.effects))[0]
         return found if found.trial.accepted and size >= sizes[0] else None
 
+    def far_by_its_noise(self) -> Further | None:
+        """Return the best model with an effect far from none of those that are likelier by noise
+        that fits them."""
+        found = []
+        for candidate in [c for c in self._candidates if c.effect in FAR_SIZES]:
+            start = _likeliest_far(self._data, self._current.hypothesis, candidate)
+            judged = self._by_its_noise(candidate, start) if start else None
+            found += [judged] if judged else []
+        self.trials += [one.trial for one in found]
+        return max((one for one in found if one.trial.accepted), key=Further.gain, default=None)
+
     def _likelihood(self, hypothesis: Hypothesis, runs: Sequence[Run]) -> float:
         """Logarithm of that of a model's own filter, by the noise that is known."""
         values = hypothesis.flat(self._data.believed)
@@ -264,28 +275,12 @@ class Ahead:
         return [one for one in judged if one.trial.accepted]
 
     def _far_beside(self, first: Further, candidate: Candidate) -> Further | None:
-        """Return the model with an effect far from none beside the first, if that is likelier.
-
-        Each size by noise that fits it: noise that fits the first alone holds what bristles do, too
-        (beside a cogging torque it made them 5,000 to 11,000 less likely than none; by its own they
-        are 23,000 likelier).
-        """
+        """Return the model with an effect far from none beside the first, if that is likelier."""
         data, before = first.data, first.fitted.hypothesis
-        shape = list(candidate.starts[0].values())
-        sizes = _far_sizes(candidate)[1::3]
-        models = [before, *(before.with_effect(candidate, [size, *shape]) for size in sizes)]
-
-        def likelihood(model: Hypothesis) -> float:
-            try:
-                values = model.flat(data.believed)
-                return tuned_likelihood(data.machine, data.runs, values, data.noise)
-            except RunawayError:
-                return -np.inf
-
-        least, *found = side_by_side(likelihood, models)
-        if max(found) < least + SURE_GAIN / 2:
+        start = _likeliest_far(data, before, candidate)
+        if start is None:
             return None
-        name, start = first.trial.candidate.name, models[1 + int(np.argmax(found))]
+        name = first.trial.candidate.name
         self._progress(f"step {self._step}: looking ahead from {name} and {candidate.name}")
         try:
             data, both = settle(data.machine, data.runs, start, data.noise, FEW_TUNINGS)
@@ -310,6 +305,32 @@ class Ahead:
             self._step, second, values, evidence, chance, check.gain, checked, reason, passes
         )
         return Further(data, without, both, trial)
+
+
+def _likeliest_far(data: Data, before: Hypothesis, candidate: Candidate) -> Hypothesis | None:
+    """Return the likeliest model with an effect far from none; None if none is surely likelier.
+
+    Each size by noise that fits it: noise that fits the model without holds what bristles do, too
+    (beside a cogging torque it made them 5,000 to 11,000 less likely than none; by its own they
+    are 23,000 likelier. A tyre's relaxation length of 37 mm: 4,000, and 2,600).
+    """
+    models = [
+        before.with_effect(candidate, [size, *start.values()])
+        for size in _far_sizes(candidate)[1::3]
+        for start in candidate.starts
+    ]
+
+    def likelihood(model: Hypothesis) -> float:
+        try:
+            values = model.flat(data.believed)
+            return tuned_likelihood(data.machine, data.runs, values, data.noise)
+        except RunawayError:
+            return -np.inf
+
+    least, *found = side_by_side(likelihood, [before, *models])
+    if max(found) < least + SURE_GAIN / 2:
+        return None
+    return models[int(np.argmax(found))]
 
 
 def _far_sizes(candidate: Candidate) -> Array:
