@@ -112,7 +112,7 @@ def test_bristles_are_found_along_their_own_filter(tmp_path, length_m):
 
 @pytest.mark.parametrize("length_m", [0.02, 0.0])
 def test_bristles_are_found_each_size_by_noise_that_fits_it(tmp_path, length_m):
-    """As a tyre relaxes: in a longer way than the floor is rough; where none are, none are found."""
+    """As a tyre relaxes, in a long way; where none are, none are found."""
     hidden = (HiddenEffect("bristle_relaxation", {"length_m": length_m}),) if length_m else ()
     effects = tuple(effect.as_dict() for effect in hidden)
     robot, runs, _ = robot_runs(TruthCase(seed=21007, effects=effects, runs=2), tmp_path)
