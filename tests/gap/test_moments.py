@@ -6,13 +6,22 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from omnislip.gap.machine import Machine
-from omnislip.gap.moments import LEAST_LOGS, LEAST_MOMENTS, Moment, _feigned_rad_s, find_moments
+from omnislip.gap.moments import (
+    LEAST_LOGS,
+    LEAST_MOMENTS,
+    Moment,
+    _feigned_rad_s,
+    _own_jump_rad_s,
+    find_moments,
+)
 from omnislip.gap.noise import no_load_speed_rad_s, stall_acceleration_rad_s2, track_all
 from omnislip.gap.recordings import make_run
 from omnislip.gap.settle import believed_hypothesis, settle
 from omnislip.gap.truth import TruthCase
 from omnislip.gap.words import moment_words
-from omnislip.model_file import NOMINAL_ROBOT, read_model
+from omnislip.model_file import NOMINAL_ROBOT, Effect, read_model
+from omnislip.scenario import Scenario, Sensors
+from omnislip.simulate import make_log, simulate_truth
 from truth_bench import logs_of
 
 MACHINE = Machine(read_model(NOMINAL_ROBOT))
@@ -23,7 +32,8 @@ def moments_in(logs):
     runs = [make_run(MACHINE, log) for log in logs]
     data, fitted = settle(MACHINE, runs, believed_hypothesis(MACHINE))
     values = fitted.hypothesis.flat(MACHINE.believed)
-    return find_moments(MACHINE, runs, track_all(MACHINE, runs, values, data.noise, True))
+    tracks = track_all(MACHINE, runs, values, data.noise, True)
+    return find_moments(MACHINE, runs, tracks, values, data.noise)
 
 
 def truth_case(effects=(), **changed):
@@ -101,6 +111,40 @@ def test_a_command_that_bends_within_a_row_feigns_what_half_of_the_row_gives():
     outputs[:, 9:] = 0.0  # currents of an instant
     more = 0.08 * 2.0 * no_load_speed_rad_s(MACHINE)
     assert _feigned_rad_s(MACHINE, run).max() == pytest.approx(most + more)
+
+
+def coasting_run(braking_fraction):
+    """A straight drive whose duties of all wheels fall below what the wheels' speed asks for."""
+    effect = Effect("driver_freewheel", {"braking_fraction": braking_fraction})
+    model = replace(read_model(NOMINAL_ROBOT), effects=[effect])
+    driving = [
+        {"t_s": t_s, "kind": "velocity", "value": [speed_m_s, 0.0, 0.0]}
+        for t_s, speed_m_s in ((0.0, 1.5), (1.0, 0.1))
+    ]
+    scenario = Scenario("run", 2.0, model, driving, sensors=Sensors(pose_noise_m=0.001), seed=1)
+    machine = Machine(model)
+    return machine, make_run(machine, make_log(scenario, simulate_truth(scenario)))
+
+
+def test_what_the_model_does_of_a_sudden_is_known_beside_each_row():
+    """Where a driver begins to coast the motor brakes no more; what was measured does not tell."""
+    (machine, run), (braking, _) = coasting_run(0.0), coasting_run(1.0)
+    data, fitted = settle(machine, [run], believed_hypothesis(machine))
+    values = fitted.hypothesis.flat(machine.believed)
+    [track] = track_all(machine, [run], values, data.noise, True)
+    filtered = track.state.reshape(len(run.t_s), -1)
+
+    def own(which, row, states):
+        return _own_jump_rad_s(which, run, row, states, which.believed, data.noise)
+
+    rows = range(205, 260)
+    coasts = np.array([own(machine, row, filtered) for row in rows])
+    brakes = np.array([own(braking, row, filtered) for row in rows])
+    assert coasts.max() > 5.0
+    assert coasts.max() > 2.0 * brakes.max()
+    struck = filtered.copy()
+    struck[230:, 0] += 30.0
+    np.testing.assert_array_equal(own(machine, 230, struck), own(machine, 230, filtered))
 
 
 def test_a_cut_out_shows_beside_stamps_that_are_off():

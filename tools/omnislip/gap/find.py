@@ -267,7 +267,7 @@ def _findings(
     if machine.kind == "robot":
         tracks = track_all(machine, fitted, after, tuned, keep_linear=True)
     shares = predictable_shares(machine, fitted, tuned, after, tracks, refit, outcome.data.answers)
-    moments = find_moments(machine, fitted, tracks)
+    moments = find_moments(machine, fitted, tracks, after, tuned)
     jolts = too_often(searched.runs, impacts)
     sudden = jolts or bool(moments)
     verdict = judge_outcome(outcome, table, bool(wiring or impacts), shares, sudden)

@@ -10,6 +10,8 @@ the mean of a row does not tell when within the row it did, nor where rows were 
 bends, a jump has to be larger than what that may feign. Nor is it what the rows' stamps may be off
 by: a row that was read d late shows every sensor as much further on as it goes in d, and a clock
 that skips shows it so from then on. A jump has to gain beside both, each known to some `STAMP_S`.
+Nor is it what the model does of a sudden itself: where teeth meet, a driver begins to coast, wheels
+grip again or pass an edge in the floor, it may be some rows early or late.
 A few moments in two logs or more say that something is there.
 """
 
@@ -21,14 +23,16 @@ import numpy.typing as npt
 from scipy.ndimage import maximum_filter1d
 
 from omnislip import _core
-from omnislip.gap.events import COMMAND_JUMP, SPAN_ROWS, Jumps, peaks
+from omnislip.gap.events import COMMAND_JUMP, REPLAY_STEP_S, SPAN_ROWS, Jumps, peaks
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import (
     CURRENT,
     SHAFT,
     STAMP_S,
+    Noise,
     no_load_speed_rad_s,
     stall_acceleration_rad_s2,
+    track_recordings,
 )
 from omnislip.gap.recordings import LOST, Run
 from omnislip.gap.side_by_side import side_by_side
@@ -56,35 +60,65 @@ class Moment:
 
 
 def find_moments(
-    machine: Machine, runs: Sequence[Run], tracks: Sequence[_core.Track]
+    machine: Machine,
+    runs: Sequence[Run],
+    tracks: Sequence[_core.Track],
+    values: Array,
+    noise: Noise,
 ) -> list[Moment]:
-    """Return the moments in runs beside the model of `tracks`, with their matrices.
+    """Return the moments in runs beside the model of flat `values`: `tracks` with their matrices.
 
     None if they are too few, or of what is no robot.
     """
     if machine.kind != "robot":
         return []
     pairs = list(zip(runs, tracks, strict=True))
-    found = side_by_side(lambda pair: _moments_in(machine, *pair), pairs)
+    found = side_by_side(lambda pair: _moments_in(machine, *pair, values, noise), pairs)
     moments = [moment for own in found for moment in own]
     logs = {moment.run for moment in moments}
     return moments if len(moments) >= LEAST_MOMENTS and len(logs) >= LEAST_LOGS else []
 
 
-def _moments_in(machine: Machine, run: Run, track: _core.Track) -> list[Moment]:
+def _moments_in(
+    machine: Machine, run: Run, track: _core.Track, values: Array, noise: Noise
+) -> list[Moment]:
     jumps = Jumps(machine, run, track, SHAFT, HORIZON_S)
     ratio, jump, _ = jumps.ratios()
     level = float(np.percentile(ratio[jumps.first :], 80))
     least = max(LEAST_RATIO, OVER_LEVEL * level)
-    rate = np.gradient(track.state.reshape(len(run.t_s), -1), run.t_s, axis=0)
+    filtered = track.state.reshape(len(run.t_s), -1)
+    rate = np.gradient(filtered, run.t_s, axis=0)
     unsure, feigned_rad_s = _unsure(run), _feigned_rad_s(machine, run)
-    return [
-        Moment(run.name, float(run.t_s[row]), float(ratio[row]), jump[row])
-        for row in peaks(run.t_s, ratio, least)
-        if not unsure[row]
-        and np.abs(jump[row]).max() > feigned_rad_s[row]
-        and jumps.ratio_beside_stamps(row, rate, STAMP_S) > least
-    ]
+    found = []
+    for row in peaks(run.t_s, ratio, least):
+        most = int(np.argmax(np.abs(jump[row])))
+        beyond_rad_s = abs(jump[row, most]) - feigned_rad_s[row]
+        if unsure[row] or beyond_rad_s <= 0.0:
+            continue
+        if jumps.ratio_beside_stamps(row, rate, STAMP_S) <= least:
+            continue
+        if beyond_rad_s > _own_jump_rad_s(machine, run, row, filtered, values, noise)[most]:
+            found.append(Moment(run.name, float(run.t_s[row]), float(ratio[row]), jump[row]))
+    return found
+
+
+def _own_jump_rad_s(
+    machine: Machine, run: Run, row: int, filtered: Array, values: Array, noise: Noise
+) -> Array:
+    """Return by how much shafts (wheels,) suddenly turn otherwise in a model that runs free.
+
+    From shortly before a row on, for what is measured there would make it jump, too: the most by
+    which its acceleration changes from one row beside to the next, for as long as a row.
+    """
+    first = max(row - SPAN_ROWS - max(SPAN_ROWS, round(RINGS_S / run.row_s)), 0)
+    rows = slice(first, row + SPAN_ROWS + 1)
+    t_s, blank = run.t_s[rows], np.full_like(run.outputs[rows], np.nan)
+    start = filtered[first][: machine.engine.states]
+    free = machine.recording(t_s, run.command[rows], blank, start)
+    [track] = track_recordings(machine, [free], values, noise, REPLAY_STEP_S)
+    speed = track.state.reshape(len(t_s), -1)[:, SHAFT]
+    bent = np.diff(np.diff(speed, axis=0) / np.diff(t_s)[:, None], axis=0) * run.row_s
+    return np.abs(bent[-2 * SPAN_ROWS :]).max(axis=0)
 
 
 def _feigned_rad_s(machine: Machine, run: Run) -> Array:
