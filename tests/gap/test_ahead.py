@@ -1,15 +1,15 @@
 """One step further than the search: sizes far from none, pairs, the noise beside an effect."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
 from axis_bench import Bench, make_machine, make_runs, silent
-from omnislip.gap.ahead import Ahead
+from omnislip.gap.ahead import Ahead, Further
 from omnislip.gap.inference import fit
-from omnislip.gap.judge import SURE_GAIN
+from omnislip.gap.judge import SURE_GAIN, Trial
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import track_all
-from omnislip.gap.search import _much_is_there
 from omnislip.gap.settle import believed_hypothesis, settle
 from omnislip.gap.truth import TruthCase
 from omnislip.gap.truth_effects import HiddenEffect
@@ -94,14 +94,19 @@ def test_bristles_are_found_beside_another_effect_by_noise_that_fits_both(tmp_pa
         assert further is None
 
 
+def look_ahead_of_bristles(folder, length_m):
+    """Ahead of the believed model of a robot with bristles, or with none; its candidates."""
+    hidden = (HiddenEffect("bristle_relaxation", {"length_m": length_m}),) if length_m else ()
+    effects = tuple(effect.as_dict() for effect in hidden)
+    robot, runs, candidates = robot_runs(TruthCase(seed=21007, effects=effects, runs=2), folder)
+    data, current = settle(robot, runs, believed_hypothesis(robot))
+    return Ahead(data, current, robot.candidates(), 1, 100, silent), candidates
+
+
 @pytest.mark.parametrize("length_m", [0.9e-3, 4e-3, 0.0])
 def test_bristles_are_found_along_their_own_filter(tmp_path, length_m):
     """That of rigid contact takes what they hold for pushes; where none are, none are found."""
-    hidden = (HiddenEffect("bristle_relaxation", {"length_m": length_m}),) if length_m else ()
-    effects = tuple(effect.as_dict() for effect in hidden)
-    robot, runs, candidates = robot_runs(TruthCase(seed=21007, effects=effects, runs=2), tmp_path)
-    data, current = settle(robot, runs, believed_hypothesis(robot))
-    ahead = Ahead(data, current, robot.candidates(), 1, 100, silent)
+    ahead, candidates = look_ahead_of_bristles(tmp_path, length_m)
     further = ahead.far(candidates["bristle_relaxation"], None)
     if length_m:
         assert further.fitted.hypothesis.values_of(0)[0] == pytest.approx(length_m, rel=0.03)
@@ -113,27 +118,40 @@ def test_bristles_are_found_along_their_own_filter(tmp_path, length_m):
 @pytest.mark.parametrize("length_m", [0.02, 0.0])
 def test_bristles_are_found_each_size_by_noise_that_fits_it(tmp_path, length_m):
     """As a tyre relaxes, in a long way; where none are, none are found."""
-    hidden = (HiddenEffect("bristle_relaxation", {"length_m": length_m}),) if length_m else ()
-    effects = tuple(effect.as_dict() for effect in hidden)
-    robot, runs, _ = robot_runs(TruthCase(seed=21007, effects=effects, runs=2), tmp_path)
-    data, current = settle(robot, runs, believed_hypothesis(robot))
-    ahead = Ahead(data, current, robot.candidates(), 1, 100, silent)
-    further = ahead.far_by_its_noise()
+    ahead, _ = look_ahead_of_bristles(tmp_path, length_m)
+    found = ahead._far_by_noise()
     if length_m:
+        further = max(found, key=Further.gain)
         assert further.trial.candidate.name == "bristle_relaxation"
+        assert further.trial.accepted
         assert further.fitted.hypothesis.values_of(0)[0] == pytest.approx(length_m, rel=0.03)
     else:
-        assert further is None
-        assert ahead.trials == []
+        assert found == []
 
 
 @pytest.mark.parametrize(
     ("gain", "promise", "much"), [(150.0, 20.0, False), (250.0, 20.0, True), (10.0, 250.0, True)]
 )
-def test_what_no_chance_gives_is_worth_looking_further(gain, promise, much):
-    trial = SimpleNamespace(evidence=SimpleNamespace(gain=gain, inflation=30.0))
-    assert _much_is_there([(trial, None)], [SimpleNamespace(promise=promise)]) is much
-    assert not _much_is_there([], [])
+def test_what_no_chance_gives_is_worth_looking_further(monkeypatch, gain, promise, much):
+    """As inflated as it may be: sizes far from none are tried then, and the best is taken."""
+    candidate = SimpleNamespace(name="bristle_relaxation", effect="bristle_relaxation")
+    hypothesis = SimpleNamespace(effects=[1, 2, 3])
+    evidence = SimpleNamespace(gain=gain, inflation=30.0, beyond_chance=gain / 30.0)
+    refused = Trial(1, candidate, None, evidence, 1.0, 1.0, True, "could be chance", False)
+    taken, other = (replace(refused, accepted=True, reason=of) for of in ("most", "less"))
+    far = [
+        Further(None, SimpleNamespace(objective=q), SimpleNamespace(objective=0.0), trial)
+        for q, trial in ((300.0, taken), (200.0, other))
+    ]
+    monkeypatch.setattr(Ahead, "_far_by_noise", lambda _: far)
+    monkeypatch.setattr(Ahead, "_by_its_noise", lambda *_: None)
+    monkeypatch.setattr(Ahead, "_larger", lambda *_: None)
+    ahead = Ahead(None, SimpleNamespace(hypothesis=hypothesis), [], 1, 100, silent)
+    fitted = SimpleNamespace(objective=0.0, hypothesis=None, jacobian=None)
+    screened = [SimpleNamespace(candidate=candidate, promise=promise)]
+    assert ahead.best([], []) is None
+    assert ahead.best([(refused, fitted)], screened) is (far[0] if much else None)
+    assert [trial.accepted for trial in ahead.trials] == ([True, False] if much else [])
 
 
 def test_answers_within_a_row_are_no_delay_of_some_rows(tmp_path):

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from omnislip.gap.inference import Data, fit
 from omnislip.gap.leftover import (
@@ -165,6 +165,8 @@ def test_what_sets_in_beyond_a_threshold_is_named_though_that_is_not_known(model
     st.floats(0.12, 0.3),
     st.sampled_from([1.0, -1.0]),
 )
+@example("hill", -0.4, 0.2, 0.65, -1.0)
+@example("hill", 0.1, -0.3, 0.55, 1.0)
 def test_a_force_about_a_place_is_found_where_that_is(of, x_m, y_m, width_m, sign):
     """Four runs over 2 m x 2 m; the forces of 1 m/s2 at most have noise of a third."""
     generator = np.random.default_rng(0)

@@ -93,17 +93,17 @@ class Ahead:
 
         What promised or gained much, but from few blocks, is judged alone: among pairs of such
         chance has too much choice.
-        Pairs with a weaker first effect are tried only where none with a stronger one passes.
+        Pairs with a weaker first effect are tried only where none with a stronger one passes, sizes
+        far from none by noise that fits each only where no pair does and much is there.
         """
+        hopes = _hopes(refused, screened)
         refused = [pair for pair in refused if pair[0].reason != WITHIN_LAW]
         clear = [pair for pair in refused if pair[0].evidence.beyond_chance > AHEAD_GAIN]
         clear = sorted(clear, key=lambda pair: pair[1].objective)[:BEAM]
         rest = {pair[0].candidate.name: pair for pair in refused}
         for trial, _ in clear:
             rest.pop(trial.candidate.name, None)
-        promised = {s.candidate.name: s.promise for s in screened}
-        hopes = {name: max(promised.get(name, 0.0), rest[name][0].evidence.gain) for name in rest}
-        covered = [rest[name] for name in sorted(hopes, key=lambda name: -hopes[name])[:BEAM]]
+        covered = [rest[name] for name in sorted(rest, key=lambda name: -hopes[name])[:BEAM]]
         covered = [pair for pair in covered if hopes[pair[0].candidate.name] > SURE_GAIN]
         judged = side_by_side(
             lambda pair: self._by_its_noise(
@@ -119,6 +119,10 @@ class Ahead:
         if len(self._current.hypothesis.effects) + 2 <= MOST_EFFECTS:
             for first in judged[: len(clear)]:
                 passed = passed or (self._pairs(first) if first else [])
+        if not passed and max(hopes.values(), default=0.0) > SURE_GAIN:
+            far = self._far_by_noise()
+            self.trials += [one.trial for one in far]
+            passed = [one for one in far if one.trial.accepted]
         best = max(passed, key=Further.gain, default=None)
         self.trials = [
             replace(trial, accepted=best is not None and trial is best.trial)
@@ -173,17 +177,6 @@ class Ahead:
         self.trials.append(found.trial)
         size = found.fitted.hypothesis.values_of(len(current.effects))[0]
         return found if found.trial.accepted and size >= sizes[0] else None
-
-    def far_by_its_noise(self) -> Further | None:
-        """Return the best model with an effect far from none of those that are likelier by noise
-        that fits them."""
-        found = []
-        for candidate in [c for c in self._candidates if c.effect in FAR_SIZES]:
-            start = _likeliest_far(self._data, self._current.hypothesis, candidate)
-            judged = self._by_its_noise(candidate, start) if start else None
-            found += [judged] if judged else []
-        self.trials += [one.trial for one in found]
-        return max((one for one in found if one.trial.accepted), key=Further.gain, default=None)
 
     def _likelihood(self, hypothesis: Hypothesis, runs: Sequence[Run]) -> float:
         """Logarithm of that of a model's own filter, by the noise that is known."""
@@ -274,6 +267,15 @@ class Ahead:
         self.trials += [one.trial for one in judged]
         return [one for one in judged if one.trial.accepted]
 
+    def _far_by_noise(self) -> list[Further]:
+        """Return the models with an effect far from none, each likelier by noise that fits it."""
+        found = []
+        for candidate in self._candidates:
+            if candidate.effect in FAR_SIZES:
+                start = _likeliest_far(self._data, self._current.hypothesis, candidate)
+                found.append(self._by_its_noise(candidate, start) if start else None)
+        return [one for one in found if one is not None]
+
     def _far_beside(self, first: Further, candidate: Candidate) -> Further | None:
         """Return the model with an effect far from none beside the first, if that is likelier."""
         data, before = first.data, first.fitted.hypothesis
@@ -305,6 +307,13 @@ class Ahead:
             self._step, second, values, evidence, chance, check.gain, checked, reason, passes
         )
         return Further(data, without, both, trial)
+
+
+def _hopes(refused: Sequence[tuple[Trial, Fit]], screened: Sequence[Screened]) -> dict[str, float]:
+    """Return what each candidate explains or promises to, as inflated as it may be."""
+    promised = {one.candidate.name: one.promise for one in screened}
+    gained = {trial.candidate.name: trial.evidence.gain for trial, _ in refused}
+    return {name: max(promised.get(name, 0.0), gain) for name, gain in gained.items()}
 
 
 def _likeliest_far(data: Data, before: Hypothesis, candidate: Candidate) -> Hypothesis | None:

@@ -33,6 +33,7 @@ from omnislip.gap.metrics import WINDOW_S
 from omnislip.gap.noise import (
     STAMP_S,
     Noise,
+    run_free,
     stall_current_a,
     stamp_slope,
     track_all,
@@ -612,13 +613,15 @@ class _Window:
         """States at the times to try, without a push."""
         t_s = np.union1d(self._t_s, self.times_s)
         row = np.searchsorted(self._t_s, t_s, side="right") - 1
-        recording = self._machine.recording(
+        states = run_free(
+            self._machine,
             t_s,
             self._command[row],
-            np.full((len(t_s), self._outputs.shape[1]), np.nan),
             self._start,
+            self._values,
+            self._noise,
+            REPLAY_STEP_S,
         )
-        states = self._track(recording).state.reshape(len(t_s), -1)
         at = np.searchsorted(t_s, self.times_s)
         return dict(zip(self.times_s, states[at, : self._machine.engine.states], strict=True))
 

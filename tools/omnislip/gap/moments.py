@@ -31,8 +31,8 @@ from omnislip.gap.noise import (
     STAMP_S,
     Noise,
     no_load_speed_rad_s,
+    run_free,
     stall_acceleration_rad_s2,
-    track_recordings,
 )
 from omnislip.gap.recordings import LOST, Run
 from omnislip.gap.side_by_side import side_by_side
@@ -112,12 +112,10 @@ def _own_jump_rad_s(
     """
     first = max(row - SPAN_ROWS - max(SPAN_ROWS, round(RINGS_S / run.row_s)), 0)
     rows = slice(first, row + SPAN_ROWS + 1)
-    t_s, blank = run.t_s[rows], np.full_like(run.outputs[rows], np.nan)
-    start = filtered[first][: machine.engine.states]
-    free = machine.recording(t_s, run.command[rows], blank, start)
-    [track] = track_recordings(machine, [free], values, noise, REPLAY_STEP_S)
-    speed = track.state.reshape(len(t_s), -1)[:, SHAFT]
-    bent = np.diff(np.diff(speed, axis=0) / np.diff(t_s)[:, None], axis=0) * run.row_s
+    t_s, start = run.t_s[rows], filtered[first][: machine.engine.states]
+    free = run_free(machine, t_s, run.command[rows], start, values, noise, REPLAY_STEP_S)
+    rate = np.diff(free[:, SHAFT], axis=0) / np.diff(t_s)[:, None]
+    bent = np.diff(rate, axis=0) * run.row_s
     return np.abs(bent[-2 * SPAN_ROWS :]).max(axis=0)
 
 

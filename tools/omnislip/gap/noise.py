@@ -163,6 +163,22 @@ def track_recordings(
         raise RunawayError(str(error)) from None
 
 
+def run_free(
+    machine: Machine,
+    t_s: Array,
+    command: Array,
+    start: Array,
+    values: Array,
+    noise: Noise,
+    step_s: float,
+) -> Array:
+    """Return the filter's states (rows, states) where nothing is measured, from `start` on."""
+    blank = np.full((len(t_s), machine.engine.outputs), np.nan)
+    recording = machine.recording(t_s, command, blank, start)
+    [track] = track_recordings(machine, [recording], values, noise, step_s)
+    return track.state.reshape(len(t_s), -1)
+
+
 @dataclass(frozen=True)
 class Guess:
     """Logarithms of the variances before they are fitted, and how far they may move."""

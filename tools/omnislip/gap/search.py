@@ -31,7 +31,6 @@ from omnislip.gap.judge import (
     EQUAL,
     LEAST_PROMISE,
     MOST_EFFECTS,
-    SURE_GAIN,
     Trial,
     beside_short_delay,
     drop_needless,
@@ -161,8 +160,6 @@ def search(
             found = [(_gives_way(trial, reason), one) for trial, one in found]
         elif accepted is None:
             further = ahead.best(found, worth)
-            if further is None and _much_is_there(found, worth):
-                further = ahead.far_by_its_noise()
         trials += [*(trial for trial, _ in found), *ahead.trials]
         if further is not None:
             data, current, accepted = further.data, further.without, further.fitted
@@ -302,12 +299,6 @@ def _try(
             told = _gives_way(trial, f"explains less than {name}")
         found.append((told, fitted))
     return found
-
-
-def _much_is_there(refused: Sequence[tuple[Trial, Fit]], screened: Sequence[Screened]) -> bool:
-    """Whether anything explains, or promises to, what no chance gives, as inflated as it may be."""
-    gains = [trial.evidence.gain for trial, _ in refused] + [one.promise for one in screened]
-    return max(gains, default=0.0) > SURE_GAIN
 
 
 def _gives_way(trial: Trial, reason: str) -> Trial:
