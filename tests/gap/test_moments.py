@@ -11,10 +11,18 @@ from omnislip.gap.moments import (
     LEAST_MOMENTS,
     Moment,
     _feigned_rad_s,
+    _met_rad_s,
     _own_jump_rad_s,
     find_moments,
 )
-from omnislip.gap.noise import no_load_speed_rad_s, stall_acceleration_rad_s2, track_all
+from omnislip.gap.noise import (
+    SHAFT,
+    first_guess,
+    no_load_speed_rad_s,
+    run_free,
+    stall_acceleration_rad_s2,
+    track_all,
+)
 from omnislip.gap.recordings import make_run
 from omnislip.gap.settle import believed_hypothesis, settle
 from omnislip.gap.truth import TruthCase
@@ -113,9 +121,11 @@ def test_a_command_that_bends_within_a_row_feigns_what_half_of_the_row_gives():
     assert _feigned_rad_s(MACHINE, run).max() == pytest.approx(most + more)
 
 
-def coasting_run(braking_fraction):
+DROPOUT = {"fraction": 0.12, "speed_rad_s": 150.0}
+
+
+def driven_run(effect):
     """A straight drive whose duties of all wheels fall below what the wheels' speed asks for."""
-    effect = Effect("driver_freewheel", {"braking_fraction": braking_fraction})
     model = replace(read_model(NOMINAL_ROBOT), effects=[effect])
     driving = [
         {"t_s": t_s, "kind": "velocity", "value": [speed_m_s, 0.0, 0.0]}
@@ -128,7 +138,9 @@ def coasting_run(braking_fraction):
 
 def test_what_the_model_does_of_a_sudden_is_known_beside_each_row():
     """Where a driver begins to coast the motor brakes no more; what was measured does not tell."""
-    (machine, run), (braking, _) = coasting_run(0.0), coasting_run(1.0)
+    (machine, run), (braking, _) = (
+        driven_run(Effect("driver_freewheel", {"braking_fraction": share})) for share in (0.0, 1.0)
+    )
     data, fitted = settle(machine, [run], believed_hypothesis(machine))
     values = fitted.hypothesis.flat(machine.believed)
     [track] = track_all(machine, [run], values, data.noise, True)
@@ -145,6 +157,40 @@ def test_what_the_model_does_of_a_sudden_is_known_beside_each_row():
     struck = filtered.copy()
     struck[230:, 0] += 30.0
     np.testing.assert_array_equal(own(machine, 230, struck), own(machine, 230, filtered))
+
+
+def test_where_an_encoder_begins_to_lose_counts_is_known_beside_each_row():
+    """What it shows falls by the share of the speed that it loses, beside what a shaft does."""
+    machine, run = driven_run(Effect("encoder_dropout", DROPOUT, wheel=2))
+    data, fitted = settle(machine, [run], believed_hypothesis(machine))
+    values = fitted.hypothesis.flat(machine.believed)
+    [track] = track_all(machine, [run], values, data.noise, True)
+    filtered = track.state.reshape(len(run.t_s), -1)
+    begins = 1 + int(np.argmax(np.abs(filtered[:, SHAFT][:, 1]) > DROPOUT["speed_rad_s"]))
+
+    def own(which, row, values):
+        return _own_jump_rad_s(which, run, row, filtered, values, data.noise)
+
+    lost_rad_s = DROPOUT["fraction"] * DROPOUT["speed_rad_s"]
+    shows, turns = own(machine, begins, values), own(MACHINE, begins, MACHINE.believed)
+    assert 0.5 * lost_rad_s < shows[1] < lost_rad_s + turns[1]
+    assert max(shows[0], own(machine, 150, values).max()) < 0.1 * lost_rad_s
+
+
+def test_teeth_that_cross_their_play_stop_a_shaft_by_no_more_than_its_motor_gained():
+    """A duty that reverses: the plant's shafts fall back where their teeth meet."""
+    machine, run = driven_run(Effect("gear_backlash", {"angle_rad": 0.03}))
+    t_s = 2e-4 * np.arange(2000)
+    command = np.where(t_s < 0.2, -0.1, 0.5)[:, None] * np.array([1.0, -1.0, 1.0, -1.0])
+    start = np.zeros(machine.engine.states)
+    noise = first_guess(machine, [run])
+    free = run_free(machine, t_s, command, start, machine.believed, noise, 1e-4)
+    ahead = np.sign(command[-1]) * free[1000:, SHAFT]
+    fell_rad_s = np.max(np.maximum.accumulate(ahead, axis=0) - ahead, axis=0)
+    play = SimpleNamespace(command=command, row_s=2e-4)
+    met_rad_s = _met_rad_s(machine, play, free, machine.believed)[1000]
+    assert np.all((fell_rad_s < met_rad_s) & (fell_rad_s > 0.1 * met_rad_s))
+    assert not _met_rad_s(MACHINE, play, free, MACHINE.believed).any()
 
 
 def test_a_cut_out_shows_beside_stamps_that_are_off():

@@ -189,12 +189,13 @@ def _impacts_in(machine: Machine, run: Run, values: Array, noise: Noise) -> list
     level = float(np.percentile(ratio[pushes.first :], 80))
     filtered, impacts = track.state.reshape(len(run.t_s), -1), []
     threshold = max(LEAST_RATIO, OVER_LEVEL * level)
-    rows = peaks(run.t_s, ratio, threshold)
+    rows = peaks(run.t_s, ratio, threshold, HORIZON_S + SPAN_S)
     unseen = bool(np.isnan(run.outputs[:, POSE_X]).all())
     by_friction = _by_friction(machine, run, values, noise, pushes) if rows else np.zeros(0)
     for peak in rows:
         if explained[peak] >= HARD_EXPLAINED and by_friction[peak] < BY_FRICTION * ratio[peak]:
-            row = pushes.likeliest_row(peak, ratio > threshold)
+            behind_s = impacts[-1].time_s + HORIZON_S if impacts else -np.inf
+            row = pushes.likeliest_row(peak, (ratio > threshold) & (run.t_s > behind_s))
             impact = _size_up(machine, run, row, values, noise, filtered, jump[row])
             if not impact.confirmed or run.t_s[row] - impact.time_s < SPAN_S / TIMES:
                 # After a hard push, or in a long one, g may be largest at a row that foresees it.
@@ -795,15 +796,16 @@ def _told_by(response: Array, white: Array) -> float:
     return float(white @ white - left @ left)
 
 
-def peaks(t_s: Array, ratio: Array, threshold: float) -> list[int]:
+def peaks(t_s: Array, ratio: Array, threshold: float, since_s: float = APART_S) -> list[int]:
     """Rows of the local maxima above the threshold, strongest first claiming its surroundings.
 
-    After it for long, before it only rows that look as far ahead: another push may have come there.
+    After it those of some time, before it only rows that look as far ahead: another push may have
+    come there.
     """
     left, found = ratio.copy(), []
     while left.max(initial=0.0) > threshold:
         row = int(np.argmax(left))
         found.append(row)
-        since_s = t_s - t_s[row]
-        left[(since_s > -HORIZON_S - SPAN_S) & (since_s < APART_S)] = 0.0
+        after_s = t_s - t_s[row]
+        left[(after_s > -HORIZON_S - SPAN_S) & (after_s < since_s)] = 0.0
     return sorted(found)

@@ -10,8 +10,9 @@ the mean of a row does not tell when within the row it did, nor where rows were 
 bends, a jump has to be larger than what that may feign. Nor is it what the rows' stamps may be off
 by: a row that was read d late shows every sensor as much further on as it goes in d, and a clock
 that skips shows it so from then on. A jump has to gain beside both, each known to some `STAMP_S`.
-Nor is it what the model does of a sudden itself: where teeth meet, a driver begins to coast, wheels
-grip again or pass an edge in the floor, it may be some rows early or late.
+Nor is it what the model does of a sudden itself: where an encoder begins to lose counts, a driver
+to coast, wheels grip again or pass an edge in the floor, it may be some rows early or late. Nor is
+it where teeth meet, for nothing tells before that where in its play a gear is.
 A few moments in two logs or more say that something is there.
 """
 
@@ -27,6 +28,7 @@ from omnislip.gap.events import COMMAND_JUMP, REPLAY_STEP_S, SPAN_ROWS, Jumps, p
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import (
     CURRENT,
+    ENCODER,
     SHAFT,
     STAMP_S,
     Noise,
@@ -45,6 +47,9 @@ LEAST_RATIO, OVER_LEVEL = 35.0, 6.0
 exceed the 80th percentile of its run."""
 RINGS_S = 0.05
 """For which a soft gear rings (12 N m/rad at a shaft: 40 ms)."""
+MISLED = 2.0
+"""What a filter may be off by where the model switches, as a factor of what that does to a speed:
+what is shown after it says that the switch has not come, so once each way."""
 LEAST_MOMENTS, LEAST_LOGS = 3, 2
 
 
@@ -88,16 +93,18 @@ def _moments_in(
     least = max(LEAST_RATIO, OVER_LEVEL * level)
     filtered = track.state.reshape(len(run.t_s), -1)
     rate = np.gradient(filtered, run.t_s, axis=0)
-    unsure, feigned_rad_s = _unsure(run), _feigned_rad_s(machine, run)
+    unsure, bent_rad_s = _unsure(run), _feigned_rad_s(machine, run)
+    feigned_rad_s = bent_rad_s[:, None] + _met_rad_s(machine, run, filtered, values)
     found = []
     for row in peaks(run.t_s, ratio, least):
         most = int(np.argmax(np.abs(jump[row])))
-        beyond_rad_s = abs(jump[row, most]) - feigned_rad_s[row]
+        beyond_rad_s = abs(jump[row, most]) - feigned_rad_s[row, most]
         if unsure[row] or beyond_rad_s <= 0.0:
             continue
         if jumps.ratio_beside_stamps(row, rate, STAMP_S) <= least:
             continue
-        if beyond_rad_s > _own_jump_rad_s(machine, run, row, filtered, values, noise)[most]:
+        own_rad_s = _own_jump_rad_s(machine, run, row, filtered, values, noise)[most]
+        if beyond_rad_s > MISLED * own_rad_s:
             found.append(Moment(run.name, float(run.t_s[row]), float(ratio[row]), jump[row]))
     return found
 
@@ -108,15 +115,36 @@ def _own_jump_rad_s(
     """Return by how much shafts (wheels,) suddenly turn otherwise in a model that runs free.
 
     From shortly before a row on, for what is measured there would make it jump, too: the most by
-    which its acceleration changes from one row beside to the next, for as long as a row.
+    which the acceleration of a shaft, or that which its encoder shows, changes from one row beside
+    to the next, for as long as a row.
     """
-    first = max(row - SPAN_ROWS - max(SPAN_ROWS, round(RINGS_S / run.row_s)), 0)
+    first = max(row - SPAN_ROWS - _ringing_rows(run), 0)
     rows = slice(first, row + SPAN_ROWS + 1)
     t_s, start = run.t_s[rows], filtered[first][: machine.engine.states]
     free = run_free(machine, t_s, run.command[rows], start, values, noise, REPLAY_STEP_S)
-    rate = np.diff(free[:, SHAFT], axis=0) / np.diff(t_s)[:, None]
-    bent = np.diff(rate, axis=0) * run.row_s
-    return np.abs(bent[-2 * SPAN_ROWS :]).max(axis=0)
+    shown_rad_s = np.diff(free[:, ENCODER], axis=0) / np.diff(t_s)[:, None]
+    speeds_rad_s = np.hstack([free[1:, SHAFT], shown_rad_s])
+    rate = np.diff(speeds_rad_s, axis=0) / np.diff(t_s)[1:, None]
+    bent = np.abs(np.diff(rate, axis=0)) * run.row_s
+    return bent[-2 * SPAN_ROWS :].reshape(-1, 2, 4).max(axis=(0, 1))
+
+
+def _met_rad_s(machine: Machine, run: Run, filtered: Array, values: Array) -> Array:
+    """Return the jumps (rows, wheels) of the shafts where teeth meet that crossed all of the play.
+
+    Where in its play a gear is nothing tells before they meet. A motor is free until then: a wheel
+    that turns by p behind a gear of ratio n lets it gain v = sqrt(2 a n p), with a of what drives
+    it beside, and then a wheel that the floor holds takes all of v away.
+    """
+    play_rad, load_share = (
+        values[list(machine.place("gear_backlash", key, None))]
+        for key in ("angle_rad", "load_share")
+    )
+    driven = np.abs(run.command - filtered[:, SHAFT] / no_load_speed_rad_s(machine))
+    most = maximum_filter1d(driven, 2 * _ringing_rows(run) + 1, axis=0)
+    free_rad_s2 = most * stall_acceleration_rad_s2(machine) / (1.0 - load_share)
+    ratio = machine.model.values["motor.gear_ratio"]
+    return np.sqrt(2.0 * free_rad_s2 * ratio * np.abs(play_rad))
 
 
 def _feigned_rad_s(machine: Machine, run: Run) -> Array:
@@ -129,13 +157,17 @@ def _feigned_rad_s(machine: Machine, run: Run) -> Array:
     """
     bent = np.zeros_like(run.command)
     bent[1:-1] = np.abs(np.diff(run.command, 2, axis=0))
-    before = max(SPAN_ROWS, round(RINGS_S / run.row_s))
+    before = _ringing_rows(run)
     size = before + SPAN_ROWS + 1
     most = maximum_filter1d(bent.max(axis=1), size, origin=before - size // 2)
     per_command = stall_acceleration_rad_s2(machine) * run.row_s / 2.0
     if not np.isnan(run.outputs[:, CURRENT]).all():
         per_command += 2.0 * no_load_speed_rad_s(machine)
     return most * per_command
+
+
+def _ringing_rows(run: Run) -> int:
+    return max(SPAN_ROWS, round(RINGS_S / run.row_s))
 
 
 def _unsure(run: Run) -> npt.NDArray[np.bool_]:

@@ -24,7 +24,8 @@ from omnislip.gap.recordings import Run, wheel_jacobian
 
 Array = npt.NDArray[np.float64]
 
-SHAFT, BODY, YAW, DISTURBANCES = slice(0, 4), slice(8, 10), 10, slice(-7, None)
+SHAFT, ENCODER, BODY, YAW = slice(0, 4), slice(4, 8), slice(8, 10), 10
+DISTURBANCES = slice(-7, None)
 GYRO, POSE_XY, HEADING, SUPPLY, CURRENT = 4, slice(5, 7), 7, 8, slice(9, 13)
 COLOUR_RATE, CONTACT = 11, 12
 """Places of the disturbances' rate and of forces at contacts among the logarithms of a robot."""
