@@ -67,11 +67,8 @@ def test_momentum_of_a_push_is_right_within_a_fifth(tmp_path, push):
     assert np.all(np.abs(impact.impulse - push) < 3 * impact.deviation)
 
 
-@pytest.mark.parametrize(
-    "pushes",
-    [[(2.3, 2.0, 0.0, 0.0), (2.5, -2.7, 7.0, 0.0)], [(2.3, -2.7, 7.0, 0.0), (2.5, 2.0, 0.0, 0.0)]],
-)
-def test_a_light_push_just_before_or_after_a_hard_one_is_found(pushes):
+def pushed_twice(pushes):
+    """Two pushes (time in s, N s, N s, N m s) while the robot drives: machine, log and noise."""
     model = read_model(NOMINAL_ROBOT)
     hidden = [
         Effect("impact", dict(zip(IMPACT_KEYS, push, strict=True)), run="run") for push in pushes
@@ -80,18 +77,39 @@ def test_a_light_push_just_before_or_after_a_hard_one_is_found(pushes):
     pushed = replace(model, effects=hidden)
     scenario = Scenario("run", 5.0, pushed, driving, sensors=Sensors(pose_noise_m=0.001), seed=1)
     machine = Machine(model)
-    run = make_run(machine, make_log(scenario, simulate_truth(scenario)))
+    log = make_log(scenario, simulate_truth(scenario))
     calm = replace(scenario, model=model, seed=2)
     noise = tune_noise(
         machine, [make_run(machine, make_log(calm, simulate_truth(calm)))], machine.believed
     )
-    found = find_impacts(machine, [run], machine.believed, noise)
+    return machine, log, noise
+
+
+HARD, LIGHT = (-2.7, 7.0, 0.0), (2.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("sizes", [(LIGHT, HARD), (HARD, LIGHT)])
+def test_a_light_push_just_before_or_after_a_hard_one_is_found(sizes):
+    machine, log, noise = pushed_twice([(2.3, *sizes[0]), (2.5, *sizes[1])])
+    found = find_impacts(machine, [make_run(machine, log)], machine.believed, noise)
     assert [impact.time_s for impact in found] == pytest.approx([2.3, 2.5], abs=0.015)
     # In a run that begins behind the first one the second shows, and what nobody did does not.
-    behind = make_run(machine, make_log(scenario, simulate_truth(scenario)), begin=470)
+    behind = make_run(machine, log, begin=470)
     later = [found[1], replace(found[1], time_s=3.0)]
     shown = [shows(machine, behind, push, machine.believed, noise) for push in later]
     assert shown == [True, False]
+
+
+def test_what_soon_follows_something_stronger_that_is_no_push_is_none(monkeypatch):
+    machine, log, noise = pushed_twice([(2.3, *HARD), (2.5, *LIGHT)])
+    size_up = events._size_up
+
+    def refused(machine, run, row, *others):
+        impact = size_up(machine, run, row, *others)
+        return replace(impact, gain=0.0) if run.t_s[row] < 2.4 else impact
+
+    monkeypatch.setattr(events, "_size_up", refused)
+    assert find_impacts(machine, [make_run(machine, log)], machine.believed, noise) == []
 
 
 def pushed_while_turning(latency_s):

@@ -190,9 +190,13 @@ def _impacts_in(machine: Machine, run: Run, values: Array, noise: Noise) -> list
     filtered, impacts = track.state.reshape(len(run.t_s), -1), []
     threshold = max(LEAST_RATIO, OVER_LEVEL * level)
     rows = peaks(run.t_s, ratio, threshold, HORIZON_S + SPAN_S)
+    highest = peaks(run.t_s, ratio, threshold)
     unseen = bool(np.isnan(run.outputs[:, POSE_X]).all())
     by_friction = _by_friction(machine, run, values, noise, pushes) if rows else np.zeros(0)
     for peak in rows:
+        pushed = impacts and run.t_s[peak] - impacts[-1].time_s < APART_S
+        if peak not in highest and not pushed:
+            continue  # what follows something else that is no push is none
         if explained[peak] >= HARD_EXPLAINED and by_friction[peak] < BY_FRICTION * ratio[peak]:
             behind_s = impacts[-1].time_s + HORIZON_S if impacts else -np.inf
             row = pushes.likeliest_row(peak, (ratio > threshold) & (run.t_s > behind_s))
