@@ -194,7 +194,7 @@ def _impacts_in(machine: Machine, run: Run, values: Array, noise: Noise) -> list
     unseen = bool(np.isnan(run.outputs[:, POSE_X]).all())
     by_friction = _by_friction(machine, run, values, noise, pushes) if rows else np.zeros(0)
     for peak in rows:
-        pushed = impacts and run.t_s[peak] - impacts[-1].time_s < APART_S
+        pushed = bool(impacts) and run.t_s[peak] - impacts[-1].time_s < APART_S
         if peak not in highest and not pushed:
             continue  # what follows something else that is no push is none
         if explained[peak] >= HARD_EXPLAINED and by_friction[peak] < BY_FRICTION * ratio[peak]:
@@ -800,16 +800,16 @@ def _told_by(response: Array, white: Array) -> float:
     return float(white @ white - left @ left)
 
 
-def peaks(t_s: Array, ratio: Array, threshold: float, since_s: float = APART_S) -> list[int]:
+def peaks(t_s: Array, ratio: Array, threshold: float, claimed_s: float = APART_S) -> list[int]:
     """Rows of the local maxima above the threshold, strongest first claiming its surroundings.
 
-    After it those of some time, before it only rows that look as far ahead: another push may have
-    come there.
+    After it for `claimed_s`, before it only rows that look as far ahead: another push may have come
+    there.
     """
     left, found = ratio.copy(), []
     while left.max(initial=0.0) > threshold:
         row = int(np.argmax(left))
         found.append(row)
-        after_s = t_s - t_s[row]
-        left[(after_s > -HORIZON_S - SPAN_S) & (after_s < since_s)] = 0.0
+        since_s = t_s - t_s[row]
+        left[(since_s > -HORIZON_S - SPAN_S) & (since_s < claimed_s)] = 0.0
     return sorted(found)

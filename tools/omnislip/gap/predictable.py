@@ -52,6 +52,7 @@ from omnislip.gap.machine import LESS_GRIP, Machine
 from omnislip.gap.noise import (
     BODY,
     DISTURBANCES,
+    ENCODER,
     SHAFT,
     STAMP_S,
     YAW,
@@ -332,13 +333,13 @@ def _features(run: Run, state: Array, gear: float) -> Array:
         np.stack([np.interp(time_s - past, time_s, column) for column in command.T], axis=1)
         for past in PAST_S
     ]
-    shaft = state[:, 4:8]
+    angles = state[:, ENCODER]
     return np.concatenate(
         [
             command,
             *(command - past for past in earlier),
-            state[:, :4],
-            *(wave(angle) for angle in (shaft, shaft / gear) for wave in (np.sin, np.cos)),
+            state[:, SHAFT],
+            *(wave(angle) for angle in (angles, angles / gear) for wave in (np.sin, np.cos)),
             state[:, 8:14],
             time_s[:, None],
         ],
