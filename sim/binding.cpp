@@ -10,6 +10,7 @@
 #include <algorithm>
 #include <array>
 #include <map>
+#include <numeric>
 #include <stdexcept>
 #include <string>
 
@@ -35,6 +36,7 @@ namespace {
 using Array1 = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using Array2 = nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 using Array3 = nb::ndarray<const double, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
+using Written2 = nb::ndarray<double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 
 /* Hands a buffer over to numpy. */
 nb::object to_numpy(std::vector<double> &&data, const std::vector<std::size_t> &shape) {
@@ -305,8 +307,41 @@ class Engine {
                             const std::vector<const Track *> &tracks, const Array2 &values,
                             double step_s, double least_rate_1_s) const {
         return batch(recordings, tracks, values, [&](const ParameterSets &sets, const auto &out) {
-            innovations(*kernel_, recordings, tracks, sets, step_s, least_rate_1_s, out);
+            std::vector<int> place(static_cast<std::size_t>(sets.count));
+            std::iota(place.begin(), place.end(), 0);
+            std::vector<Residuals> residuals;
+            for (std::size_t r = 0; r < recordings.size(); ++r) {
+                const long plane = static_cast<long>(recordings[r]->rows) * kernel_->outputs();
+                residuals.push_back({out[r], plane, 0});
+            }
+            innovations(*kernel_, recordings, tracks, sets, step_s, least_rate_1_s, residuals,
+                        place);
         });
+    }
+
+    void innovations_into(const std::vector<const Recording *> &recordings,
+                          const std::vector<const Track *> &tracks, const Array2 &values,
+                          const Written2 &residuals, const std::vector<long> &begin,
+                          const std::vector<int> &first_row, const std::vector<int> &place,
+                          double step_s, double least_rate_1_s) const {
+        const ParameterSets sets = checked(recordings, tracks, values);
+        const long width = static_cast<long>(residuals.shape(1));
+        require(begin.size() == recordings.size() && first_row.size() == recordings.size() &&
+                    place.size() == values.shape(0),
+                "begin and first_row need one number per recording, place one per set");
+        std::vector<Residuals> targets;
+        for (std::size_t r = 0; r < recordings.size(); ++r) {
+            const long rows = recordings[r]->rows - first_row[r];
+            require(begin[r] >= 0 && first_row[r] >= 0 && rows >= 0 &&
+                        begin[r] + rows * kernel_->outputs() <= width,
+                    "residuals has too few columns");
+            targets.push_back({residuals.data() + begin[r], width, first_row[r]});
+        }
+        for (const int row : place)
+            require(row >= 0 && row < static_cast<long>(residuals.shape(0)),
+                    "residuals has too few rows");
+        nb::gil_scoped_release release;
+        innovations(*kernel_, recordings, tracks, sets, step_s, least_rate_1_s, targets, place);
     }
 
     double fastest_rate_1_s(const Array1 &values) const {
@@ -419,18 +454,22 @@ class Engine {
     nb::list batch(const std::vector<const Recording *> &recordings,
                    const std::vector<const Track *> &tracks, const Array2 &values,
                    Work &&work) const {
+        const ParameterSets sets = checked(recordings, tracks, values);
+        return filled(recordings, values.shape(0), {static_cast<std::size_t>(kernel_->outputs())},
+                      [&](const auto &out) { work(sets, out); });
+    }
+
+    ParameterSets checked(const std::vector<const Recording *> &recordings,
+                          const std::vector<const Track *> &tracks, const Array2 &values) const {
         check_size(values.shape(1));
         check_tracks(recordings, tracks);
-        const std::size_t sets = values.shape(0);
-        const std::size_t outputs = static_cast<std::size_t>(kernel_->outputs());
         for (std::size_t first = 0; first < values.shape(0); first += kernel_->lanes()) {
             const auto count = std::min<std::size_t>(kernel_->lanes(), values.shape(0) - first);
             require_rate(kernel_->fastest_rate_1_s(values.data() + first * values.shape(1),
                                                    static_cast<int>(count)));
         }
-        const ParameterSets all{values.data(), static_cast<int>(sets),
-                                static_cast<int>(values.shape(1))};
-        return filled(recordings, sets, {outputs}, [&](const auto &out) { work(all, out); });
+        return {values.data(), static_cast<int>(values.shape(0)),
+                static_cast<int>(values.shape(1))};
     }
 
     /* One array [sets][rows][of_row...] per recording, filled by `work` on buffers of zeros. */
@@ -760,6 +799,11 @@ void bind_replay(nb::module_ &m) {
              "coloured"_a, "colour_rate_1_s"_a, "with_information"_a = false)
         .def("innovations", &Engine::innovations_of, "recordings"_a, "tracks"_a, "values"_a,
              "step_s"_a = 1e-3, "least_rate_1_s"_a = 0.0)
+        .def("innovations_into", &Engine::innovations_into, "recordings"_a, "tracks"_a, "values"_a,
+             "residuals"_a, "begin"_a, "first_row"_a, "place"_a, "step_s"_a = 1e-3,
+             "least_rate_1_s"_a = 0.0,
+             "Those of set i into row place[i] of residuals (sets, columns): of recording r the "
+             "outputs of the rows from first_row[r] on, from column begin[r] on.")
         .def("fastest_rate_1_s", &Engine::fastest_rate_1_s, "values"_a)
         .def("replays", &Engine::replays_of, "recordings"_a, "tracks"_a, "values"_a,
              "step_s"_a = 1e-3, "window_s"_a = 1.0);
@@ -767,12 +811,12 @@ void bind_replay(nb::module_ &m) {
 
 }  // namespace
 
-/* The arrays of a run are some hundred kilobytes each. glibc would map such anew for every run,
- * page by page as they are written: a sixth of the time of a closed loop. */
+/* glibc would map every large array anew, page by page as they are written, and the kernel clears
+ * each: a sixth of the time of a closed loop, and of the search for a gap. */
 static void keep_freed_memory() {
 #if defined(__GLIBC__)
-    mallopt(M_MMAP_THRESHOLD, 32 << 20); /* the most that it takes */
-    mallopt(M_TRIM_THRESHOLD, 64 << 20);
+    mallopt(M_MMAP_MAX, 0);
+    mallopt(M_TRIM_THRESHOLD, 1 << 30);
 #endif
 }
 

@@ -231,12 +231,16 @@ std::vector<Track> track_all(const Kernel &kernel, const std::vector<const Recor
 
 void innovations(const Kernel &kernel, const std::vector<const Recording *> &recordings,
                  const std::vector<const Track *> &tracks, const ParameterSets &sets, double step_s,
-                 double least_rate_1_s, const std::vector<double *> &residuals) {
+                 double least_rate_1_s, const std::vector<Residuals> &residuals,
+                 const std::vector<int> &place) {
     for_each_group(kernel, static_cast<int>(recordings.size()), sets,
                    [&](int r, int first, int count, const double *values) {
-                       const long plane = static_cast<long>(recordings[r]->rows) * kernel.outputs();
+                       const Residuals &own = residuals[r];
+                       std::vector<double *> of_set(static_cast<std::size_t>(count));
+                       for (int s = 0; s < count; ++s)
+                           of_set[s] = own.begin + place[first + s] * own.stride;
                        kernel.innovations(*recordings[r], *tracks[r], values, count, step_s,
-                                          least_rate_1_s, residuals[r] + first * plane);
+                                          least_rate_1_s, own.first_row, of_set.data());
                    });
 }
 

@@ -158,11 +158,12 @@ class Kernel {
      * [points][motors], derivative [points][states]; time 0, memory settled. */
     virtual void derivatives(const void *loaded, int points, const double *states,
                              const double *commands, double *derivative) const = 0;
-    /* First `count` <= lanes() sets from `values` on; residuals [set][row][output]. Sets that are
-     * no faster than least_rate_1_s take the same steps, so that their difference is smooth. */
+    /* First `count` <= lanes() sets from `values` on; residuals[set] takes [row][output] from
+     * `first_row` on. Sets that are no faster than least_rate_1_s take the same steps, so that
+     * their difference is smooth. */
     virtual void innovations(const Recording &recording, const Track &track, const double *values,
-                             int count, double step_s, double least_rate_1_s,
-                             double *residuals) const = 0;
+                             int count, double step_s, double least_rate_1_s, int first_row,
+                             double *const *residuals) const = 0;
     virtual void replays(const Recording &recording, const Track &track, const double *values,
                          int count, double step_s, double window_s, double *errors) const = 0;
     /* Columns `first` to `first` + lanes() - 1 of the response of `respond` below. */
@@ -200,10 +201,20 @@ std::vector<Track> track_all(const Kernel &kernel, const std::vector<const Recor
                              const double *values, const Noise &noise, double step_s,
                              double floor_window_s, bool keep_linear);
 
-/* All recordings, all sets: residuals[r] holds [set][row][output] of recording r. */
+/* Where the residuals of a recording go: those of set i to begin + place[i] * stride, [row][output]
+ * from `first_row` on. */
+struct Residuals {
+    double *begin = nullptr;
+    long stride = 0;
+    int first_row = 0;
+};
+
+/* All recordings, all sets; `place` [sets]. */
 void innovations(const Kernel &kernel, const std::vector<const Recording *> &recordings,
                  const std::vector<const Track *> &tracks, const ParameterSets &sets, double step_s,
-                 double least_rate_1_s, const std::vector<double *> &residuals);
+                 double least_rate_1_s, const std::vector<Residuals> &residuals,
+                 const std::vector<int> &place);
+/* All recordings, all sets: errors[r] holds [set][row][output] of recording r. */
 void replays(const Kernel &kernel, const std::vector<const Recording *> &recordings,
              const std::vector<const Track *> &tracks, const ParameterSets &sets, double step_s,
              double window_s, const std::vector<double *> &errors);

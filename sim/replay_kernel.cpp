@@ -219,12 +219,23 @@ class KernelOf final : public Kernel {
         }
     }
 
-    static void scatter(const S *rows, int count, long plane, double *out) {
+    /* `row_of` a set is where its row goes. */
+    template <class RowOf>
+    static void scatter(const S *row, int count, RowOf &&row_of) {
         alignas(64) double spread[kLanes];
         for (int j = 0; j < kOutputs; ++j) {
-            rows[j].store_aligned(spread);
+            row[j].store_aligned(spread);
             for (int s = 0; s < count; ++s)
-                out[s * plane + j] = spread[s];
+                row_of(s)[j] = spread[s];
+        }
+    }
+
+    /* `w` [kOutputs][kOutputs] is lower triangular. */
+    static void whiten(const double *w, const S *innovation, S *white) {
+        for (int i = 0; i < kOutputs; ++i) {
+            white[i] = S(0.0);
+            for (int j = 0; j <= i; ++j)
+                white[i] = white[i] + S(w[i * kOutputs + j]) * innovation[j];
         }
     }
 
@@ -409,11 +420,10 @@ class KernelOf final : public Kernel {
     }
 
     void innovations(const Recording &recording, const Track &track, const double *values,
-                     int count, double step_s, double least_rate_1_s,
-                     double *residuals) const override {
+                     int count, double step_s, double least_rate_1_s, int first_row,
+                     double *const *residuals) const override {
         Loaded loaded(values, count, total_parameters(), terms_);
         loaded.rate_1_s = std::max(loaded.rate_1_s, least_rate_1_s);
-        const long plane = static_cast<long>(recording.rows) * kOutputs;
         S x[kAll], disturbance[kPushes + 1], innovation[kOutputs], white[kOutputs];
         std::fill_n(disturbance, kPushes, S(0.0));
         Internals in;
@@ -423,14 +433,11 @@ class KernelOf final : public Kernel {
         for (long k = 0; k < recording.rows; ++k) {
             innovate(loaded.plant, recording, k, x, way, innovation);
             correct(track, k, innovation, x, disturbance);
-            const double *w = &track.whitening[k * kOutputs * kOutputs];
-            for (int i = 0; i < kOutputs; ++i) {
-                white[i] = S(0.0);
-                for (int j = 0; j <= i; ++j) {
-                    white[i] = white[i] + S(w[i * kOutputs + j]) * innovation[j];
-                }
+            if (k >= first_row) {
+                whiten(&track.whitening[k * kOutputs * kOutputs], innovation, white);
+                const long place = (k - first_row) * kOutputs;
+                scatter(white, count, [&](int set) { return residuals[set] + place; });
             }
-            scatter(white, count, plane, residuals + k * kOutputs);
             if (k + 1 == recording.rows)
                 break;
             way.follow(k, x, [&] {
@@ -456,7 +463,7 @@ class KernelOf final : public Kernel {
         for (long k = 0; k < recording.rows; ++k) {
             const double t = recording.time_s[k];
             innovate(loaded.plant, recording, k, free, free_way, error);
-            scatter(error, count, plane, errors + k * kOutputs);
+            scatter(error, count, [&](int set) { return errors + set * plane + k * kOutputs; });
             innovate(loaded.plant, recording, k, filtered, filtered_way, innovation);
             correct(track, k, innovation, filtered, disturbance);
             if (t >= restart_s) {

@@ -160,7 +160,7 @@ def test_only_what_goes_with_something_foreseen_is_taken(seed):
     instruments = np.column_stack([derivatives[:, [0, 2]], own])
     sizes = np.linalg.lstsq(instruments, change, rcond=None)[0]
     np.testing.assert_allclose(found, residual + instruments @ sizes, atol=1e-9)
-    [same] = part.residuals(residual[None], newsless[None])
+    [same] = part.residuals(residual[None].copy(), newsless[None].copy())
     np.testing.assert_array_equal(same, residual)
 
 
@@ -171,7 +171,7 @@ def test_two_stages_find_what_least_squares_do_not():
     column = foreseen - noise  # the answer takes the noise away
     residual = noise - 1.0 * column  # of a model that lacks it
     part = Foreseen(residual, np.zeros(count), np.zeros((count, 0)), *still(count))
-    [taken] = part.residuals((residual + column)[None], foreseen[None])
+    [taken] = part.residuals((residual + column)[None], foreseen[None].copy())
     stage = taken - residual
     assert -(column @ residual) / (column @ column) == pytest.approx(1.5, abs=0.02)
     assert -(stage @ residual) / (stage @ stage) == pytest.approx(1.0, abs=0.02)
@@ -186,7 +186,7 @@ def test_a_rise_is_taken_out_so_far_as_it_is_there(share, found):
     logged = noise - share * rise + 0.1 * key
     part = Foreseen(logged, np.zeros(count), key[:, None], rise, newsless_rise)
     assert part.rise_share == pytest.approx(found, abs=0.01)
-    [left] = part.residuals(logged[None], np.zeros((1, count)))
+    [left] = part.residuals(logged[None].copy(), np.zeros((1, count)))
     np.testing.assert_allclose(left, logged + part.rise_share * rise, atol=1e-12)
 
 

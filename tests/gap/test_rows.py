@@ -43,13 +43,13 @@ def test_a_projected_square_is_that_of_the_larger_covariance(count):
     columns = rng.standard_normal((40, count)) * 10.0 ** np.arange(-1, count - 1)
     residuals = rng.standard_normal((5, 40))
     expected = [r @ np.linalg.solve(np.eye(40) + columns @ columns.T, r) for r in residuals]
-    projected = Projection(columns).apply(residuals)
+    projected = Projection(columns).apply(residuals.copy())
     np.testing.assert_allclose(np.sum(projected**2, axis=1), expected, rtol=1e-10)
 
 
 def test_without_columns_residuals_stay_as_they_are():
     residuals = np.random.default_rng(1).standard_normal((2, 30))
-    np.testing.assert_array_equal(Projection(np.zeros((30, 0))).apply(residuals), residuals)
+    np.testing.assert_array_equal(Projection(np.zeros((30, 0))).apply(residuals.copy()), residuals)
 
 
 # ---- the columns ----

@@ -139,20 +139,23 @@ class Foreseen:
         self._residual = found + self.rise_share * rise
 
     def residuals(self, found: Array, newsless: Array) -> Array:
-        """Return r + c^ of models (models, m) from their residuals by both commands."""
-        residuals = self.part(found - self._found, newsless - self._newsless)
+        """Return r + c^ of models (models, m) from their residuals by both commands, used up."""
+        found -= self._found
+        newsless -= self._newsless
+        residuals = self.part(found, newsless)
         residuals += self._residual
         return residuals
 
     def part(self, change: Array, newsless: Array) -> Array:
-        """Return c^ (n, m) of changes c by the logged commands and c~ by those without news."""
+        """Return c^ (n, m) of changes c by the logged commands and c~, used up, without news."""
         along, within = newsless @ self._axes, change @ self._axes
         whole = np.vecdot(newsless, newsless)
         square = whole - np.vecdot(along, along)  # of what of c~ is out of the span
         common = np.vecdot(newsless, change) - np.vecdot(along, within)
         share = (common / np.where(square > NOTHING * whole, square, np.inf))[:, None]
         part = (within - share * along) @ self._axes.T
-        part += share * newsless
+        newsless *= share
+        part += newsless
         return part
 
 

@@ -342,7 +342,7 @@ class Data:
         `values` (parameters,) is near the model by which the predictor was frozen.
         """
         [found] = self._innovations(self.recordings, values[None])
-        fall = np.sum(found**2) - np.sum(self._hidden.apply(found[None]) ** 2)
+        fall = np.sum(found**2) - np.sum(self._hidden.apply(found[None].copy()) ** 2)
         return 0.5 * float(fall - self._hidden.log_determinant)
 
     def residuals_unseen(self, fits: Sequence["Fit"], sets: Array) -> Array:
@@ -353,8 +353,8 @@ class Data:
         """
         flats = np.stack([one.hypothesis.flat(self.believed) for one in fits])
         own = self._innovations_of(self.recordings, sets, self.units)
-        change = own - self._innovations(self.recordings, flats)
-        return np.stack([one.residual for one in fits]) + self._scaled(change)
+        own -= self._innovations(self.recordings, flats)
+        return np.stack([one.residual for one in fits]) + self._scaled(own)
 
     def responses(
         self,
@@ -384,8 +384,10 @@ class Data:
         return self._scaled(found).T
 
     def _scaled(self, changes: Array) -> Array:
-        """Residuals or changes (n, m) of innovations as they count."""
-        return self._hidden.apply(changes) / self.scale
+        """Residuals or changes (n, m) of innovations, used up, as they count."""
+        scaled = self._hidden.apply(changes)
+        scaled /= self.scale
+        return scaled
 
     def _innovations_newsless(self, sets: Array) -> Array:
         """Whitened innovations (sets, m) by commands without their news."""
@@ -403,22 +405,24 @@ class Data:
     ) -> Array:
         """Those of models (models, m); run k by the sets (models, parameters) of owners[k]."""
         edges = np.concatenate([[0], np.cumsum(self._sizes())])
-        residuals = np.full((len(sets), edges[-1]), np.nan)
-        for owner in range(sets.shape[1]):
+        first_row = np.array([int(np.argmax(kept)) for kept in self._kept])
+        orders = [self._alike(sets[:, owner]) for owner in range(sets.shape[1])]
+        residuals = np.empty((len(sets), edges[-1]))
+        if any(len(order) < len(sets) for order in orders):
+            residuals[:] = np.nan
+        for owner, order in enumerate(orders):
             runs = np.flatnonzero(owners == owner)
-            order = self._alike(sets[:, owner])
-            for first in range(0, len(order), BATCH):
-                batch = order[first : first + BATCH]
-                arrays = self.machine.engine.innovations(
-                    [recordings[k] for k in runs],
-                    [self.tracks[k] for k in runs],
-                    np.ascontiguousarray(sets[batch, owner]),
-                    step_s=STEP_S,
-                    least_rate_1_s=self._least_rate_1_s,
-                )
-                for run, array in zip(runs, arrays, strict=True):
-                    kept = array[:, int(np.argmax(self._kept[run])) :]
-                    residuals[batch, edges[run] : edges[run + 1]] = kept.reshape(len(batch), -1)
+            self.machine.engine.innovations_into(
+                [recordings[k] for k in runs],
+                [self.tracks[k] for k in runs],
+                np.ascontiguousarray(sets[order, owner]),
+                residuals,
+                begin=edges[runs].tolist(),
+                first_row=first_row[runs].tolist(),
+                place=order.tolist(),
+                step_s=STEP_S,
+                least_rate_1_s=self._least_rate_1_s,
+            )
         most = DIVERGED * self.scale
         if not max(residuals.max(), -residuals.min()) < most:  # not so with NaN either
             np.nan_to_num(residuals, copy=False, nan=most)

@@ -106,7 +106,7 @@ class Projection:
         """Of the covariance of white residuals with what is hidden."""
 
     def apply(self, residuals: Array) -> Array:
-        """Return the residuals without that part."""
-        if not self._share.size:
-            return residuals
-        return residuals - ((residuals @ self._axes) * self._share) @ self._axes.T
+        """Return the residuals, used up, without that part."""
+        if self._share.size:
+            residuals -= ((residuals @ self._axes) * self._share) @ self._axes.T
+        return residuals
