@@ -161,7 +161,12 @@ def test_an_effect_gives_way_to_a_delay_only_if_it_explains_no_more_beside_it(
         SimpleNamespace(objective=-one, hypothesis=model) for one in (0.0, gain, of_delay, of_both)
     )
     beside = {id(without): timed, id(fitted): both}
-    monkeypatch.setattr(judge, "beside_short_delay", lambda _, one: beside[id(one)])
+
+    def beside_delay(_, one, least=0.0):
+        other = beside[id(one)]
+        return other if one.objective - other.objective > least else one
+
+    monkeypatch.setattr(judge, "beside_short_delay", beside_delay)
 
     def white(data, before, after, index):
         more = before.objective - after.objective

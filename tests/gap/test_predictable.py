@@ -11,6 +11,7 @@ from omnislip.gap.noise import track_all
 from omnislip.gap.predictable import EQUATIONS, OWN_PASTS_S, Predictable, predictable_shares
 from omnislip.gap.recordings import ELECTRIC_CHANNELS, ROBOT_CHANNELS, make_run
 from omnislip.gap.settle import believed_hypothesis, settle
+from omnislip.gap.split import split_runs
 from omnislip.gap.truth import TruthCase
 from omnislip.gap.verdict import LASTING_SHARES, PREDICTED_SHARE, SENSOR_SHARE, no_chance
 from omnislip.log_file import POSE_COLUMNS
@@ -240,5 +241,24 @@ def test_a_slow_camera_that_sways_is_asked_by_its_readings():
 
 
 @pytest.mark.parametrize("runs", [1, 2])
-def test_too_few_runs_to_learn_from_others(runs):
+def test_too_few_parts_to_learn_from_others(runs):
     assert shares_of(runs=runs) == []
+
+
+@pytest.mark.parametrize("logs", [1, 3])
+def test_parts_of_few_logs_learn_from_each_other(logs):
+    """As three logs or fewer are split: a force that acts is predicted, chance is not."""
+    force = {"name": "lateral_speed_force", "parameters": {"coefficient_n_s2_m2": 8.0}}
+    machine = Machine(read_model(NOMINAL_ROBOT))
+    found = []
+    for effects in ((), (force,)):
+        case = TruthCase(
+            3, effects=effects, runs=logs, run_duration_s=24.0 / logs, base_offset_sd=0.0
+        )
+        parts = split_runs(machine, logs_of(case)).fitting
+        own = [one for one in shares_in(machine, parts) if one.equation in EQUATIONS]
+        found.append(max(own, key=lambda one: one.share))
+    chance, acts = found
+    assert chance.share < 0.05
+    assert not acts.from_own_past
+    assert no_chance(acts)

@@ -541,8 +541,10 @@ class _Window:
         self._shown_s = machine.shown_s(values, self._t_s)
         self._outputs[self._shown_s < self._t_s[0], POSE] = np.nan
         self._start = filtered[first - 1][: machine.engine.states]
-        calm = machine.recording(self._t_s, self._command, self._outputs, self._start)
+        calm = self._recording(self._t_s, self._command, self._outputs, self._start)
         track = self._track(calm, keep_linear=True)
+        self._tracks = dict[int, _core.Track]()
+        """Of so many rows."""
         self._weight = 1.0 / np.sqrt(track.replay_variance.reshape(self._outputs.shape))
         self._late = STAMP_S * stamp_slope(self._t_s, self._outputs, track) * self._weight
         self._calm_errors = self._replayed(calm)
@@ -577,7 +579,7 @@ class _Window:
             moved = command.copy()
             for k, share in zip(jumps, earlier, strict=True):
                 moved[k - 1 if share > 0.0 else k] += share * change[k]
-            recording = self._machine.recording(
+            recording = self._recording(
                 self._t_s, np.clip(moved, -1.0, 1.0), self._outputs, self._start
             )
             return np.nan_to_num(self._whitened(self._replayed(recording), 0)).ravel()
@@ -595,7 +597,7 @@ class _Window:
         state = self._states[time_s].copy()
         state[VELOCITY] += jump
         blank = np.full((1, self._outputs.shape[1]), np.nan)
-        recording = self._machine.recording(
+        recording = self._recording(
             np.concatenate([[time_s], self._t_s[row + 1 :]]),
             self._command[row:],
             np.concatenate([blank, self._outputs[row + 1 :]]),
@@ -630,10 +632,16 @@ class _Window:
         at = np.searchsorted(t_s, self.times_s)
         return dict(zip(self.times_s, states[at, : self._machine.engine.states], strict=True))
 
+    def _recording(self, *recorded: Array) -> _core.Recording:
+        """Make a recording that replays run free to the end of."""
+        return self._machine.recording(*recorded, settle_s=np.inf)
+
     def _replayed(self, recording: _core.Recording) -> Array:
-        track = self._track(recording)
+        rows = recording.rows
+        if rows not in self._tracks:  # what runs free follows no filter: any will do
+            self._tracks[rows] = self._track(recording)
         replays = self._machine.engine.replays(
-            [recording], [track], self._values[None], REPLAY_STEP_S, WINDOW_S
+            [recording], [self._tracks[rows]], self._values[None], REPLAY_STEP_S, WINDOW_S
         )
         return replays[0][0]
 

@@ -12,6 +12,7 @@ from omnislip.gap.inference import (
     Evidence,
     Fit,
     fit,
+    fit_more,
     fitted_without_each_unit,
     left_by_shapes,
     most_along,
@@ -265,8 +266,8 @@ def shortest_lag(data: Data, effect: str) -> float:
     return shortest_s * float(data.machine.model.values.get("motor.resistance_ohm", 1.0))
 
 
-def beside_short_delay(data: Data, fitted: Fit) -> Fit:
-    """Return the model with a delay so short that no log can time it, where commands act later.
+def beside_short_delay(data: Data, fitted: Fit, least: float = 0.0) -> Fit:
+    """Return the model with a delay so short that no log can time it, if that gains over `least`.
 
     A controller that ticks within rows leaves it: the mean of a row is of two commands, the later
     one behind. It is no effect to be named, and what it explains is none either, known or unknown.
@@ -277,8 +278,10 @@ def beside_short_delay(data: Data, fitted: Fit) -> Fit:
     [delay], longest_s = delays, shortest_lag(data, DELAY)
     [seconds] = delay.parameters
     short = replace(delay, parameters=(replace(seconds, high=longest_s),))
-    later = fit(data, fitted.hypothesis.with_effect(short, [0.5 * longest_s]))
-    return later if later.objective < fitted.objective else fitted
+    [later] = fit_more(data, fitted, [fitted.hypothesis.with_effect(short, [0.5 * longest_s])])
+    if fitted.objective - later.objective <= least:
+        return fitted
+    return fit(data, later.hypothesis, last=later.jacobian)
 
 
 def _short_delay_does(
@@ -289,8 +292,8 @@ def _short_delay_does(
     Not whether either does as well: commands that act a tenth of a row late may hide what a carpet
     does as well as feign an inductance.
     """
-    timed = beside_short_delay(data, without)
-    if without.objective - timed.objective <= VISIBLE_GAIN * evidence.inflation:
+    timed = beside_short_delay(data, without, VISIBLE_GAIN * evidence.inflation)
+    if timed is without:
         return False
     both = beside_short_delay(data, fitted)
     beside = weigh(data, timed, both, len(without.hypothesis.effects))

@@ -101,9 +101,10 @@ TREES = {"max_iter": 50, "learning_rate": 0.1, "max_leaf_nodes": 8, "min_samples
 @dataclass(frozen=True)
 class Predictable:
     """Share of the disturbances of one equation, or of the innovations of one sensor, that is
-    predicted, from their own past or from what the robot did, as learned on other runs (of a shaft
-    also by a curve over its own command); in how many runs that is nearer than nothing, of those
-    that hold enough of them: a hollow in the floor stirs the runs that come by."""
+    predicted, from their own past or from what the robot did, as learned on other runs, or parts of
+    few (of a shaft also by a curve over its own command); in how many of these that is nearer than
+    nothing, of those that hold enough of them: a hollow in the floor stirs the runs that come by.
+    """
 
     equation: str
     from_own_past: bool
@@ -124,21 +125,28 @@ def predictable_shares(
     without: Array,
     answers: bool,
 ) -> list[Predictable]:
-    """Return the shares of each equation, largest first; nothing for fewer than three logs.
+    """Return the shares of each equation, largest first.
 
     `values` are those of the final model, `tracks` its filter's with their matrices, `without` are
     the values of the refitted model without effects; `answers` tells whether loops are closed. Only
-    robots have disturbances. `runs` may be pieces; pieces of a log are learned together.
+    robots have disturbances. `runs` may be pieces; pieces of a log are learned together, or, of
+    fewer than three logs, those of a unit: of each log a part, for chance fades within moments.
     """
-    names = list(dict.fromkeys(run.name for run in runs))
-    if machine.kind != "robot" or len(names) < LEAST_RUNS:
+    if machine.kind != "robot":
+        return []
+    logs = [run.name for run in runs]
+    if len(set(logs)) < LEAST_RUNS:
+        logs = [run.unit for run in runs]
+    names = list(dict.fromkeys(logs))
+    if len(names) < LEAST_RUNS:
         return []
     features, driven, pasts, targets, there, friction, owners = [], [], [], [], [], [], []
     gear = float(machine.model.values["motor.gear_ratio"])
     after = _states(runs, tracks)
     unnamed = track_all(machine, runs, without, noise)
     before = _states(runs, unnamed)
-    for run, track, state, unexplained in zip(runs, tracks, after, before, strict=True):
+    owned = [names.index(name) for name in logs]
+    for run, track, state, unexplained, own in zip(runs, tracks, after, before, owned, strict=True):
         rows = _sparse_rows(run)
         seen = np.maximum(rows - lead_rows(run), 0) if answers else rows
         features.append(_features(run, state if answers else foreseen(run, track), gear)[seen])
@@ -147,7 +155,7 @@ def predictable_shares(
         targets.append(state[rows][:, DISTURBANCES])
         there.append(unexplained[rows][:, DISTURBANCES])
         friction.append(_friction(machine, values, state[rows], run.command[rows]))
-        owners.append(np.full(len(rows), names.index(run.name)))
+        owners.append(np.full(len(rows), own))
     x, u, y, owner = (np.concatenate(each) for each in (features, driven, targets, owners))
     later, latest = (np.concatenate(each) for each in zip(*pasts, strict=True))
     least = REST * np.sum(np.concatenate(there) ** 2, axis=0)
@@ -169,7 +177,7 @@ def predictable_shares(
 
     shares = side_by_side(shares_of, range(len(EQUATIONS)))
     found = [one for own in shares for one in own]
-    found += _of_sensors(runs, tracks, unnamed, names)
+    found += _of_sensors(runs, tracks, unnamed, owned)
     return sorted(found, key=lambda one: -one.share)
 
 
@@ -202,29 +210,29 @@ def _of_sensors(
     runs: Sequence[Run],
     tracks: Sequence[_core.Track],
     unnamed: Sequence[_core.Track],
-    names: Sequence[str],
+    owned: Sequence[int],
 ) -> list[Predictable]:
     """Return the share of each sensor's innovations that their own past tells.
 
     `tracks` are those of the final model with their matrices, `unnamed` of the one without effects.
-    What the stamps of rows may be off by is taken out of the first.
+    What the stamps of rows may be off by is taken out of the first. `owned`: numbers of the logs.
     """
     found = []
     as_stamped = [_without_stamps(run, track) for run, track in zip(runs, tracks, strict=True)]
     for output, channel in enumerate(runs[0].channels):
         targets, pasts, owners, there = [], [], [], 0.0
-        for run, own, before in zip(runs, as_stamped, unnamed, strict=True):
+        for run, white, before, own in zip(runs, as_stamped, unnamed, owned, strict=True):
             rows = np.flatnonzero(~np.isnan(run.outputs[:, output]) & (run.t_s >= run.settled_s))
             if len(rows) < 2:
                 continue
-            innovation = own[rows, output]
+            innovation = white[rows, output]
             unexplained = before.innovation.reshape(run.outputs.shape)[rows, output]
             t_s, interval_s = run.t_s[rows], float(np.median(np.diff(run.t_s[rows])))
             slower = max(1.0, LEAST_READINGS * interval_s / SENSOR_PAST_S[0])
             then_s = t_s[:, None] - slower * np.array(SENSOR_PAST_S)
             pasts.append(np.interp(then_s, t_s, innovation) * (then_s >= t_s[0]))
             targets.append(innovation)
-            owners.append(np.full(len(rows), names.index(run.name)))
+            owners.append(np.full(len(rows), own))
             there += float(np.sum(unexplained**2))
         if len(np.unique(np.concatenate(owners or [[]]))) < LEAST_RUNS:
             continue
