@@ -547,6 +547,25 @@ def test_logs_of_one_robot_are_of_one_robot():
     assert check(MACHINE, logs).complaint is None
 
 
+@pytest.mark.parametrize("mu_drive", [0.15, 0.2, 0.25])
+def test_a_robot_that_slides_in_one_log_is_the_same_robot(mu_drive):
+    """Steady wheels under a body that follows slowly: 0.1 to 0.3 of the way that they turn."""
+    model = replace(MODEL, values=MODEL.values | {"contact.mu_drive": mu_drive})
+    pulls = [(1, 1, -1, -1), (-1, 1, 1, -1)]
+    commands = [
+        {
+            "t_s": 1.5 * k,
+            "kind": "duty",
+            "value": [0.5 * (-1) ** k * way for way in pulls[k // 2 % 2]],
+        }
+        for k in range(6)
+    ]
+    scenario = Scenario("slides", 9.0, model, commands, sensors=SENSORS, seed=5)
+    logs = [drive(f"run_{k}", model, seed=k, scale=0.4) for k in range(2)]
+    checked = check(Machine(model), [*logs, make_log(scenario, simulate_truth(scenario))])
+    assert checked.complaint is None
+
+
 def test_wheels_that_turn_faster_in_other_manoeuvres_are_of_the_same_robot():
     """Weak motors that push over rollers which brake: those that spin the robot have less to do."""
     weak = {"motor.resistance_ohm": 6.0, "contact.mu_roller": 0.1}
