@@ -190,6 +190,22 @@ def test_what_is_too_stiff_to_be_followed_is_far_off():
         track_all(robot, runs, stiff, data.noise)
 
 
+@pytest.mark.parametrize("share", [1e-4, 0.05, 0.4, 3.0])
+def test_residuals_of_a_set_do_not_depend_on_those_beside_it(share):
+    """Whose wheels grip so much more that they take shorter steps."""
+    robot = Machine(read_model(NOMINAL_ROBOT))
+    runs = runs_of(robot, TruthCase(seed=3, runs=1, run_duration_s=1.0))
+    data = Data(robot, runs, tune_noise(robot, runs, robot.believed), believed_hypothesis(robot))
+    stiffer = robot.believed.copy()
+    [place] = next(
+        p for p in robot.base_parameters() if p.label == "contact.slip_stiffness_s_m"
+    ).places
+    stiffer[place] *= 1.0 + share
+    both = data.residuals(np.stack([robot.believed, stiffer]))
+    alone = [data.residuals(one[None])[0] for one in (robot.believed, stiffer)]
+    np.testing.assert_allclose(both, alone, rtol=0.0, atol=1e-10)
+
+
 def test_track_of_the_true_model_is_the_most_likely(exact):
     runs = make_runs(exact, Bench(), range(2))
     viscous = exact.place("viscous_friction_error", "viscous_friction_nm_s", None)

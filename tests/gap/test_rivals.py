@@ -3,7 +3,7 @@
 import pytest
 from axis_bench import silent
 from omnislip.gap import rivals as rivals_module
-from omnislip.gap.rivals import compare_all, take_likeliest, take_one_of_curve
+from omnislip.gap.rivals import compare_all, swap_effects, take_likeliest, take_one_of_curve
 from omnislip.gap.settle import believed_hypothesis, settle
 from omnislip.gap.truth import TruthCase
 from omnislip.gap.truth_effects import HiddenEffect
@@ -27,6 +27,17 @@ def test_the_right_name_has_its_place_at_the_end(tmp_path, hidden, named):
     assert named == hidden or named in {
         one.hypothesis.effects[-1].name for one in compared[0].rivals
     }
+
+
+@pytest.mark.parametrize(
+    ("newest_too", "named"), [(False, "driver_lag"), (True, "actuation_delay")]
+)
+def test_the_newest_effect_gives_way_where_its_choice_compared_it_with_too_few(
+    tmp_path, newest_too, named
+):
+    data, fitted, rivals = lag_named(tmp_path, "actuation_delay", "driver_lag")
+    found, _ = swap_effects(data, fitted, rivals, silent, newest_too)
+    assert [effect.effect for effect in found.hypothesis.effects] == [named]
 
 
 @pytest.mark.parametrize(("nats", "named"), [(1.0, "driver_lag"), (1e3, "actuation_delay")])

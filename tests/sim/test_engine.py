@@ -199,6 +199,23 @@ def test_a_command_that_rises_is_as_many_small_steps(delay_s):
     assert np.all(np.abs(found - expected[::parts]).max(axis=0) < 2e-3 * missed.max())
 
 
+@pytest.mark.parametrize("jump", [0.0, 0.2])
+def test_a_command_that_rises_is_followed_in_short_steps_whatever_is_wanted(jump):
+    """Each step holds its mean: two stairs in a row of 5 ms would be 1e-3 rad of a shaft off."""
+    rows = 60
+    time = np.arange(rows) * 0.005
+    duty = np.cumsum(0.03 * np.sign(np.sin(np.arange(rows) / 4.0)))[:, None] * np.ones(4)
+    duty[rows // 2 :] += jump
+    rise = np.gradient(duty, axis=0)
+    rise[[0, -1]] = 0.0
+    slow = parameter_set(base={"contact.slip_stiffness_s_m": 12.0})
+    [exact] = simulate([slow], time, duty, step_s=1e-4, rise=rise)
+    [coarse] = simulate([slow], time, duty, step_s=5e-3, rise=rise)
+    [stairs] = simulate([slow], time, duty, step_s=5e-3)
+    off, missed = (np.abs(one - exact)[:, 4:8].max() for one in (coarse, stairs))
+    assert off < 1e-3 < missed
+
+
 def test_a_rise_of_another_shape_or_beyond_the_log_is_refused():
     engine = _core.Engine("robot")
     run = engine.recording(np.arange(5.0), np.zeros((5, 4)), np.zeros((5, 8)), np.zeros(14))
@@ -218,7 +235,7 @@ def test_sets_that_are_hardly_faster_take_the_same_steps():
     sets = np.array([parameter_set(base={"motor.viscous_friction_nm_s": v}) for v in viscous])
     assert slowest_1_s < engine.fastest_rate_1_s(sets[1])
     rows = 20
-    time, duty = np.arange(rows) * row_s, random_duty(rows, seed=3)
+    time, duty = np.arange(rows) * row_s, 0.02 * random_duty(rows, seed=3)  # none of it jumps
     shown, start = np.zeros((rows, engine.outputs)), np.zeros(engine.states)
     recording = engine.recording(time, duty, shown, start)
     ones = np.ones(engine.states)

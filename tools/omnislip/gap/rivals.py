@@ -29,18 +29,24 @@ NEARLY_AT_FIRST = 0.1
 
 
 def swap_effects(
-    data: Data, fitted: Fit, neighbours: dict[str, list[Candidate]], progress: Progress
+    data: Data,
+    fitted: Fit,
+    neighbours: dict[str, list[Candidate]],
+    progress: Progress,
+    newest_too: bool = False,
 ) -> tuple[Fit, dict[int, "Compared"]]:
     """Put another effect in the place of one where that explains clearly more, or as much simpler.
 
     The first effect was chosen while the others were still missing. Return also how the effects of
-    the model that is left compare, by their numbers; the newest has been compared by its choice.
+    the model that is left compare, by their numbers. The newest has been compared by its choice,
+    unless what explained more was refused then, by noise that fits neither: then `newest_too`.
     """
     index, compared = 0, dict[int, Compared]()
-    while index < len(fitted.hypothesis.effects) - 1:
+    count = len(fitted.hypothesis.effects) - (0 if newest_too else 1)
+    while index < count:
         effect = fitted.hypothesis.effects[index]
         if index not in compared:
-            others = range(index, len(fitted.hypothesis.effects) - 1)
+            others = range(index, count)
             compared |= _compare(data, fitted, others, neighbours, progress)
         own = compared[index]
         better = [one for one in own.rivals if _takes_its_place(data, effect, own, one)]

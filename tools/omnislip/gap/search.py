@@ -194,7 +194,7 @@ def search(
         data, current = patch_settled(data, extend_effects(machine, data, current))
         current = drop_needless(data, current, tried)
         chosen = current.hypothesis.effects
-        current, compared = swap_effects(data, current, neighbours, progress)
+        current, compared = swap_effects(data, current, neighbours, progress, _more_refused(found))
         if curves_in(current) != curves:  # else they have been compared
             data, current = take_one_of_curve(data, current, neighbours, progress)
             curves = curves_in(current)
@@ -299,6 +299,12 @@ def _try(
             told = _gives_way(trial, f"explains less than {name}")
         found.append((told, fitted))
     return found
+
+
+def _more_refused(found: Sequence[tuple[Trial, Fit]]) -> bool:
+    """Whether one that explained more than what was taken was refused."""
+    taken = [trial.evidence.gain for trial, _ in found if trial.accepted]
+    return any(trial.evidence.gain > max(taken, default=np.inf) for trial, _ in found)
 
 
 def _gives_way(trial: Trial, reason: str) -> Trial:
