@@ -438,7 +438,8 @@ class Data:
         A set's steps depend on itself alone. Without sets that are stiffer than worth following.
         """
         rates = np.array([self.machine.engine.fastest_rate_1_s(values) for values in sets])
-        above = np.log(np.maximum(rates / self._least_rate_1_s, 1.0)) / np.log(RUNG)
+        least_1_s = max(self._least_rate_1_s, 1e-9)  # an odometry has no rate
+        above = np.log(np.maximum(rates / least_1_s, 1.0)) / np.log(RUNG)
         rungs = np.ceil(above - 1e-9)
         followed = rates <= self._most_rate_1_s
         return {
