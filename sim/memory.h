@@ -43,7 +43,7 @@ constexpr double kJumpStep_s = 0.125e-3, kBesideJumpStep_s = 1e-3;
 
 /* A command that rises within a row by more than this goes up in steps of that length at most: each
  * step holds its mean, and beside shafts that follow in 3 ms two stairs in a row of 5 ms were 235
- * off in the squares of whitened innovations. */
+ * off in the squares of whitened innovations. After a jump it likely rises, too. */
 constexpr double kRising = 0.01, kRisingStep_s = 1.25e-3;
 
 inline double jump_step_s(double wanted_s) {

@@ -251,6 +251,42 @@ def test_sets_that_are_hardly_faster_take_the_same_steps():
     assert bend() > 0.1
 
 
+def test_innovations_go_where_they_are_wanted():
+    """Of two logs behind each other, from some row on, sets in another order; all else stays."""
+    engine = _core.Engine("robot")
+    rows, shown = 12, engine.outputs
+    sets = np.array([parameter_set(base={"robot.mass_kg": mass}) for mass in (18.0, 19.0, 20.0)])
+    recordings = [
+        engine.recording(
+            0.005 * np.arange(rows),
+            random_duty(rows, seed=seed),
+            np.zeros((rows, shown)),
+            np.zeros(engine.states),
+        )
+        for seed in (1, 2)
+    ]
+    ones = np.ones(engine.states)
+    tracks = engine.track(recordings, sets[0], ones, np.ones(shown), ones)
+    alone = engine.innovations(recordings, tracks, sets)
+    begin, first_row, place = [0, (rows - 3) * shown], [3, 0], [4, 0, 2]
+    columns = (2 * rows - 3) * shown
+    found = np.full((5, columns + 1), np.nan)
+    engine.innovations_into(recordings, tracks, sets, found, begin, first_row, place)
+    expected = np.full_like(found, np.nan)
+    for k, row in enumerate(place):
+        expected[row, :-1] = np.concatenate([alone[0][k, 3:].ravel(), alone[1][k].ravel()])
+    np.testing.assert_array_equal(found, expected)
+    for wrong in (
+        (np.empty((5, columns - 1)), begin, first_row, place),
+        (np.empty((4, columns)), begin, first_row, place),
+        (np.empty((5, columns)), begin, [-1, 0], place),
+        (np.empty((5, columns)), begin, [rows + 1, 0], place),
+        (np.empty((5, columns)), begin, first_row, place[:2]),
+    ):
+        with pytest.raises(ValueError):
+            engine.innovations_into(recordings, tracks, sets, *wrong)
+
+
 @pytest.mark.parametrize("settle_s", [0.25, 0.6])
 def test_replays_begin_when_the_filter_has_settled(settle_s):
     """A robot that stands is believed to go at 1 m/s at first; so says the replay till then."""

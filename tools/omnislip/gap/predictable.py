@@ -131,6 +131,7 @@ def predictable_shares(
     the values of the refitted model without effects; `answers` tells whether loops are closed. Only
     robots have disturbances. `runs` may be pieces; pieces of a log are learned together, or, of
     fewer than three logs, those of a unit: of each log a part, for chance fades within moments.
+    Nothing where there are fewer than three of these, either.
     """
     if machine.kind != "robot":
         return []
