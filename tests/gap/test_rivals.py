@@ -30,13 +30,16 @@ def test_the_right_name_has_its_place_at_the_end(tmp_path, hidden, named):
 
 
 @pytest.mark.parametrize(
-    ("newest_too", "named"), [(False, "driver_lag"), (True, "actuation_delay")]
+    ("tried", "alpha", "named"),
+    [(0, 0.01, "driver_lag"), (100, 0.01, "actuation_delay"), (100, 0.0, "driver_lag")],
 )
 def test_the_newest_effect_gives_way_where_its_choice_compared_it_with_too_few(
-    tmp_path, newest_too, named
+    tmp_path, monkeypatch, tried, alpha, named
 ):
+    """Unless what would take its place could be chance among all that was tried."""
+    monkeypatch.setattr(rivals_module, "ALPHA", alpha)
     data, fitted, rivals = lag_named(tmp_path, "actuation_delay", "driver_lag")
-    found, _ = swap_effects(data, fitted, rivals, silent, newest_too)
+    found, _ = swap_effects(data, fitted, rivals, silent, tried)
     assert [effect.effect for effect in found.hypothesis.effects] == [named]
 
 

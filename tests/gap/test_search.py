@@ -227,10 +227,10 @@ def test_what_gave_way_to_another_is_looked_for_again(machine, monkeypatch):
     """Where both are there: one explained the other's part as long as that was missing."""
     swap, calls = search_module.swap_effects, []
 
-    def other_first(data, fitted, neighbours, progress, newest_too):
+    def other_first(data, fitted, neighbours, progress, tried):
         calls.append(fitted)
         if len(calls) > 1:
-            return swap(data, fitted, neighbours, progress, newest_too)
+            return swap(data, fitted, neighbours, progress, tried)
         [taken] = fitted.hypothesis.effects
         [other] = {"coulomb_friction", "dead_zone"} - {taken.effect}
         candidate = next(c for c in data.machine.candidates() if c.effect == other)
@@ -302,9 +302,9 @@ def test_what_shows_beside_the_newest_effect_is_a_rival_of_the_older_one(machine
     """With one rival each the older effect has two: its own and that of the newest."""
     swap, offered = search_module.swap_effects, []
 
-    def recorded(data, fitted, neighbours, progress, newest_too):
+    def recorded(data, fitted, neighbours, progress, tried):
         offered.append({name: [c.name for c in own] for name, own in neighbours.items()})
-        return swap(data, fitted, neighbours, progress, newest_too)
+        return swap(data, fitted, neighbours, progress, tried)
 
     monkeypatch.setattr(search_module, "NEIGHBOURS", 1)
     monkeypatch.setattr(search_module, "swap_effects", recorded)

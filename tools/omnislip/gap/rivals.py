@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from omnislip.gap.inference import Data, Evidence, Fit, check_unseen, fit, weigh
 from omnislip.gap.judge import (
+    ALPHA,
     CURVES,
     FRICTION_OVER_SLIP,
     drop_needless,
@@ -33,16 +34,18 @@ def swap_effects(
     fitted: Fit,
     neighbours: dict[str, list[Candidate]],
     progress: Progress,
-    newest_too: bool = False,
+    tried: int = 0,
 ) -> tuple[Fit, dict[int, "Compared"]]:
     """Put another effect in the place of one where that explains clearly more, or as much simpler.
 
     The first effect was chosen while the others were still missing. Return also how the effects of
     the model that is left compare, by their numbers. The newest has been compared by its choice,
-    unless what explained more was refused then, by noise that fits neither: then `newest_too`.
+    unless what explained more was refused then, by noise that fits neither: then `tried` are how
+    many could have been taken, and what takes its place must be no chance among them.
     """
     index, compared = 0, dict[int, Compared]()
-    count = len(fitted.hypothesis.effects) - (0 if newest_too else 1)
+    newest = len(fitted.hypothesis.effects) - 1
+    count = newest + 1 if tried else newest
     while index < count:
         effect = fitted.hypothesis.effects[index]
         if index not in compared:
@@ -50,6 +53,13 @@ def swap_effects(
             compared |= _compare(data, fitted, others, neighbours, progress)
         own = compared[index]
         better = [one for one in own.rivals if _takes_its_place(data, effect, own, one)]
+        if index == newest:
+            told = [weigh(data, own.without, one, index) for one in better]
+            better = [
+                one
+                for one, evidence in zip(better, told, strict=True)
+                if evidence.p_value * tried < ALPHA
+            ]
         if better:
             best = min(better, key=lambda one: one.objective)
             _may_stand_for(neighbours, best.hypothesis.effects[-1].name, effect)

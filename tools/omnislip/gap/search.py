@@ -194,7 +194,8 @@ def search(
         data, current = patch_settled(data, extend_effects(machine, data, current))
         current = drop_needless(data, current, tried)
         chosen = current.hypothesis.effects
-        current, compared = swap_effects(data, current, neighbours, progress, _more_refused(found))
+        asked_again = tried if _more_refused(found) else 0
+        current, compared = swap_effects(data, current, neighbours, progress, asked_again)
         if curves_in(current) != curves:  # else they have been compared
             data, current = take_one_of_curve(data, current, neighbours, progress)
             curves = curves_in(current)
