@@ -176,6 +176,19 @@ def test_formula_of_a_power_is_that_power(power, size, sign):
     np.testing.assert_allclose(values, sign * size * (knots / 200.0) ** power, atol=1e-6 * size)
 
 
+@settings(deadline=None, max_examples=20)
+@given(place=st.floats(0.4, 0.8), width=st.floats(0.12, 0.2), size=st.sampled_from([-2.0, 0.1]))
+def test_formula_of_what_acts_about_one_speed_is_a_bump_there(place, width, size):
+    """The curve of a drag that a shaft has in one band of speeds, known to a 20th of its top."""
+    knots = np.linspace(-300.0, 300.0, 9)
+    speed = knots / 300.0
+    curve = size * np.sign(speed) * np.exp(-(((np.abs(speed) - place) / width) ** 2))
+    formula, share, _ = propose(tried_of(knots, curve, 0.05 * abs(size)), "torque / (N m)")
+    found = re.search(r"sign\(u\) exp\(-\(\(\|u\| - ([\d.]+)\) / ([\d.]+)\)\^2\)", formula)
+    assert found and float(found[1]) == pytest.approx(place, abs=0.15)
+    assert share > 0.9
+
+
 def test_forces_are_those_on_the_mass_and_inertias_of_the_model():
     """Believed 20 kg, 0.55 and 2.5e-5 kg m2; the model adds to each, to the third shaft alone."""
     machine = Machine(read_model(NOMINAL_ROBOT))

@@ -9,7 +9,7 @@ spectrum of the filter's disturbances and then fitted as a wave, alone or in pro
 command; every run has its own phase of it.
 
 A short formula for the curve is a hypothesis for people to judge: the one or two shapes of a list
-with the smallest BIC.
+or the bump with the smallest BIC, for which its place and width count, too.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -54,7 +54,7 @@ MOST_TERMS = 3
 SWINGS_SHOWN, SWING_POINTS = 3.0, 121
 """Of a load, periods and points of its curve."""
 PAIR_PENALTY = 3.0
-"""How much more than by BIC a second shape has to explain."""
+"""How much more than by BIC a second shape has to explain, and a bump: there are many of them."""
 
 
 @dataclass(frozen=True)
@@ -636,6 +636,24 @@ PERIODIC_SHAPES: dict[str, Callable[[Array], Array]] = {
     "cos(2 u)": lambda u: np.cos(2 * u),
 }
 
+BUMPS = [(place, width) for place in np.linspace(0.0, 0.9, 19) for width in (0.1, 0.2, 0.3, 0.5)]
+"""Of |u|: what acts about one speed, one place."""
+
+
+def _shapes(u: Array, periodic: bool) -> dict[str, tuple[Array, int]]:
+    """Return the values (knots,) of each shape and how many numbers it has."""
+    table = PERIODIC_SHAPES if periodic else SHAPES
+    shapes = {name: (shape(u), 1) for name, shape in table.items()}
+    if periodic:
+        return shapes
+    for place, width in BUMPS:
+        bump = np.exp(-(((np.abs(u) - place) / width) ** 2))
+        away = "|u|" if place == 0.0 else f"(|u| - {place:.3g})"
+        name = f"exp(-({away} / {width:g})^2)"
+        shapes[name] = (bump, 3)
+        shapes[f"sign(u) {name}"] = (np.sign(u) * bump, 3)
+    return shapes
+
 
 def propose(best: Curve, left: str) -> tuple[str, float, Array]:
     """Return a formula for a curve, the share of its weighted squares it explains, its values."""
@@ -644,17 +662,19 @@ def propose(best: Curve, left: str) -> tuple[str, float, Array]:
         largest = float(f"{best.quantity.period / (2 * np.pi):.3g}")
     else:
         largest = float(f"{np.max(np.abs(best.knots)):.2g}")
-    shapes = PERIODIC_SHAPES if periodic else SHAPES
-    table = {name: shape(best.knots / largest) for name, shape in shapes.items()}
+    table = _shapes(best.knots / largest, periodic)
     weight = np.linalg.pinv(best.covariance, rcond=1e-9, hermitian=True)
     count = len(best.knots)
     total = float(best.sizes @ weight @ best.sizes)
     chosen: tuple[float, tuple[str, ...], Array] | None = None
-    for names in [(n,) for n in table] + list(combinations(table, 2)):
-        basis = np.stack([table[n] for n in names], axis=1)
+    plain = [name for name, (_, numbers) in table.items() if numbers == 1]
+    for names in [(n,) for n in table] + list(combinations(plain, 2)):
+        basis = np.stack([table[n][0] for n in names], axis=1)
         amounts = np.linalg.lstsq(basis.T @ weight @ basis, basis.T @ weight @ best.sizes, 1e-9)[0]
         rest = best.sizes - basis @ amounts
-        penalty = len(names) * np.log(count) + PAIR_PENALTY * (len(names) - 1)
+        numbers = [table[n][1] for n in names]
+        more = len(names) - 1 + sum(own > 1 for own in numbers)
+        penalty = sum(numbers) * np.log(count) + PAIR_PENALTY * more
         # The knots are not the truth either: errors of straight lines between them count as noise.
         cost = count * np.log(max(rest @ weight @ rest, 1.0) / count) + penalty
         if chosen is None or cost < chosen[0]:
@@ -670,7 +690,7 @@ def propose(best: Curve, left: str) -> tuple[str, float, Array]:
         f"{amount:+.3g}" + ("" if n == "1" else f" {n}")
         for n, amount in zip(names, amounts, strict=True)
     ]
-    fitted = np.stack([table[n] for n in names], axis=1) @ amounts
+    fitted = np.stack([table[n][0] for n in names], axis=1) @ amounts
     rest = best.sizes - fitted
     share = 1.0 - float(rest @ weight @ rest) / total if total > 0 else 0.0
     formula = f"{left} = " + " ".join(parts)
