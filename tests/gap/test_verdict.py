@@ -254,6 +254,15 @@ def test_a_size_that_varies_little_but_leaves_as_much_as_a_missing_term_is_no_na
     assert verdict_of([selected("contact_shape", 1e4, 20.0, 0.2)]) == "effect_found"
 
 
+@pytest.mark.parametrize(
+    ("scale", "verdict"), [(0.92, "effect_found"), (1.08, "effect_found"), (0.8, "unknown_effect")]
+)
+def test_a_grip_changes_a_little_with_the_load_of_the_wheel(scale, verdict):
+    """By a fifth of itself: 1.6 % of all grip, or four."""
+    one = selected("uneven_grip", 1e4, 20.0, 0.2)
+    assert verdict_of([replace(one, values=np.array([scale]))]) == verdict
+
+
 @pytest.mark.parametrize(("law", "verdict"), [(700.0, "unknown_effect"), (800.0, "effect_found")])
 def test_a_curve_may_change_by_as_much_as_any_law_of_friction_is_off(law, verdict):
     """A size that changes by 0.6 leaves 0.36 of 2,000."""

@@ -44,6 +44,11 @@ VARIES, VARIES_SURELY, VARIED_REST = 1.0 / 3.0, 3.0, 100.0
 not what is there, even where that leaves little; the inflation, 1 for white residuals, from which
 that is no chance; and what is no little any more. (68 right sets: what they left so was 173 and
 0.036^2 of them at most.)"""
+GRIPS, LOADS_CHANGE = ("low_grip", "uneven_grip", "slippery_patch"), 0.02
+"""Effects whose scale is a grip, and by how much of its grip the load of a wheel changes that from
+half second to half second: a tenth less grip that comes and goes by a tenth of itself is still what
+is there (beside loads that change by 1.7 % within a tenth of a second it did by 1.2 % of the grip).
+"""
 NAMELESS, NAMELESS_GAIN = 1.1, 50.0
 """How much more a nameless term must explain than a name in its place, and by what gain beyond
 chance: beside right names the best such term explains as much at most (1.0)."""
@@ -138,7 +143,7 @@ def varying(selected: Sequence[Selected]) -> list[Selected]:
     A size that varies by v leaves v^2 of its gain: what a missing term may not gain, or much of
     what is named. What a weak effect leaves so is nothing beside stronger ones. The friction
     curve, strong as it may be, covers nothing, and varies where nothing is missing; what any law of
-    friction is off by is no news.
+    friction is off by is no news. Nor is that loads, and with them grips, change a little.
     """
     named = sum(one.evidence.gain for one in selected if one.candidate.effect != CURVE)
 
@@ -153,7 +158,15 @@ def varying(selected: Sequence[Selected]) -> list[Selected]:
         for one in selected
         if one.evidence.inflation > VARIES_SURELY
         and one.evidence.variation**2 * one.evidence.gain > least(one)
+        and not _as_loads_change(one)
     ]
+
+
+def _as_loads_change(one: Selected) -> bool:
+    if one.candidate.effect not in GRIPS:
+        return False
+    [scale] = one.values[list(one.candidate.amplitudes)]
+    return one.evidence.variation * abs(1.0 - scale) < LOADS_CHANGE
 
 
 def better_without_name(selected: Sequence[Selected]) -> list[Selected]:
