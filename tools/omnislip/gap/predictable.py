@@ -18,7 +18,8 @@ Nor does chance last. What bumps of the floor, sticky places or a ripple of the 
 go with any of these, but it goes on for a tenth of a second and more, where chance has faded. So
 the disturbances' own past is asked too, linearly. (Chance of a bandwidth of 10 Hz tells nothing of
 itself after 60 ms, of 3 Hz a tenth, of 1.6 Hz 0.3, and after 120 ms the square of that: verdict.py
-asks for more. A load that swings tells as much of itself after 120 ms, where it swings back.)
+asks for more. A load that swings tells as much of itself after 120 ms, where it swings back. What
+beats goes on where nothing else does, and a second of its past tells it out of as much chance.)
 
 Nor does what a driver makes of its command have to be smooth: a bridge that knows coarse steps of
 duty pushes every way in turn, over steps that no tree resolves. So each shaft's disturbances are
@@ -78,8 +79,13 @@ ROW_S = 0.01
 """Disturbances last some 10 ms: rows nearer than that tell the same."""
 FOLDS = 4
 LEAST_RUNS = 3
-OWN_PASTS_S = ((0.06, 0.09, 0.13, 0.18), (0.12, 0.15, 0.18, 0.24))
-"""At the first of each most chance has faded, at the last what goes on for longer still shows."""
+OWN_PASTS_S = (
+    (0.06, 0.09, 0.13, 0.18),
+    (0.12, 0.15, 0.18, 0.24),
+    tuple(np.arange(0.3, 1.3, 0.04).tolist()),
+)
+"""At the first of each most chance has faded, at the last what goes on for longer still shows. Of
+the third nothing of it is left, and what beats goes on."""
 SENSOR_PAST_S, LEAST_READINGS = OWN_PASTS_S[0], 3
 """Own past of a sensor, and how many readings earlier it ends at least."""
 REST = 0.2
@@ -158,17 +164,15 @@ def predictable_shares(
         friction.append(_friction(machine, values, state[rows], run.command[rows]))
         owners.append(np.full(len(rows), own))
     x, u, y, owner = (np.concatenate(each) for each in (features, driven, targets, owners))
-    later, latest = (np.concatenate(each) for each in zip(*pasts, strict=True))
+    own_pasts = [np.concatenate(each) for each in zip(*pasts, strict=True)]
     least = REST * np.sum(np.concatenate(there) ** 2, axis=0)
     least = np.maximum(least, SEEN * np.diagonal(noise.coloured) * len(y))
     least = np.maximum(least, FRICTION_SHARE * np.sum(np.concatenate(friction) ** 2, axis=0))
 
     def shares_of(index: int) -> list[Predictable]:
-        asked = [
-            (x, _by_trees, 0.0),
-            (later[:, index], _by_line, OWN_PASTS_S[0][0]),
-            (latest[:, index], _by_line, OWN_PASTS_S[1][0]),
-        ]
+        asked = [(x, _by_trees, 0.0)]
+        for past, (ahead_s, *_) in zip(own_pasts, OWN_PASTS_S, strict=True):
+            asked.append((past[:, index], _by_line, ahead_s))
         if index < u.shape[1]:
             asked.append((u[:, index], _by_bins, 0.0))
         return [

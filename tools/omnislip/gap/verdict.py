@@ -10,7 +10,6 @@ from omnislip.gap.judge import ALPHA, FRICTION_OVER_SLIP, SURE_GAIN, WITHIN_LAW,
 from omnislip.gap.leftover import UNKNOWN_SHARE, Leftover
 from omnislip.gap.machine import CURVE
 from omnislip.gap.metrics import LEAST_EXCESS, REPEATED, GapTable
-from omnislip.gap.noise import LASTING_RATE_1_S
 from omnislip.gap.predictable import EQUATIONS, OWN_PASTS_S, Predictable
 from omnislip.gap.search import Outcome
 from omnislip.gap.selected import Selected
@@ -25,16 +24,14 @@ IN_PLACES, IN_PLACES_SHARE = 300.0, 0.02
 (36 nulls: 216 once, of friction near rest, else 76 at most), and share of what is named: the square
 of a seventh (beside 34 right names that close the gap 0.006 at most)."""
 PREDICTED_SHARE, SENSOR_SHARE, CURRENT_SHARE = 0.15, 0.05, 0.15
-LASTING_SHARES = {
-    ahead_s: factor * float(np.exp(-2.0 * LASTING_RATE_1_S * ahead_s))
-    for factor, (ahead_s, *_) in zip((1.0, 1.5), OWN_PASTS_S, strict=True)
-}
+LASTING_SHARES = dict(zip((own[0] for own in OWN_PASTS_S), (0.34, 0.173, 0.15), strict=True))
 """Share of the filter's disturbances that is predicted from what the robot did, and from their own
 past. Where nothing is missing the first is below 0.1, beside right names too. The second is what
 the slowest chance tells of itself 60 ms ahead (0.34): what fades within a tenth of a second gave
 0.31 at most, of 10 Hz and more below 0.01; unknown effects that pass for chance and that nothing
 else tells 0.39 to 0.9. And half as much again as that chance tells 120 ms ahead (0.17): there it
-gave 0.11 at most, loads that swing 0.23 to 0.51. Innovations of a sensor are white: of 50 models
+gave 0.11 at most, loads that swing 0.23 to 0.51. The third is what beats: chance tells 0.04 at most
+of itself 0.3 s ahead, a load of 2.6 Hz 0.29. Innovations of a sensor are white: of 50 models
 with nothing missing they told 0.01 of themselves at most, those of a supply that dips on its own
 0.29, of a marker on a mast 0.33. Currents are read at an instant, whose command no log has: just
 after a fast controller moved they told 0.07. More than half of the runs that hold disturbances
