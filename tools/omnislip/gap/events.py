@@ -64,9 +64,9 @@ BY_FRICTION, MOST_OFF = 0.7, 0.15
 a push would. Of 55 true pushes it explained 0.36 at most, of what a filter found out when wheels
 gripped again 0.9 and more."""
 REPLAYED = 0.88
-"""Share of the squared errors of the plant's own replay. Of 151 pushes of 0.05 to 0.5 m/s, beside
-the believed model, all but two explained more than 0.9, of 167 that wheels feigned 35 less than
-this."""
+"""Share of the squared errors of the plant's own replay. Beside believed models 151 replays near
+pushes of 0.05 to 0.5 m/s explained 0.8 and more, all but two of them 0.9; of 167 of what wheels
+feigned 35 less than this."""
 GRIP, MOST_GRIP = 0.05, 3.0
 """Of the grip of a wheel in a moment: standard deviation as a share, and how many at most. Without
 a camera grips are held: while wheels slide encoders cannot tell them from the robot's velocity."""
@@ -653,9 +653,7 @@ class _Window:
 
     def _gripping(self, grips: Array) -> Array:
         """Return the flat sets (sets, parameters) of floors with some grips (sets, wheels)."""
-        sets = np.tile(self._values, (len(grips), 1))
-        sets[:, list(self._machine.place("low_grip", "scale", None))] *= 1.0 + self._grip * grips
-        return sets
+        return self._machine.with_grips(self._values, 1.0 + self._grip * grips)
 
     def to_world(self, time_s: float) -> Array:
         """Return the rotation from the body to the world at a time."""

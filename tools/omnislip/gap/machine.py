@@ -208,9 +208,17 @@ class Machine:
 
     def with_less_grip(self, values: Array) -> Array:
         """Return a flat set of a robot on a floor of `LESS_GRIP` less grip."""
-        less = values.copy()
-        less[list(self.place("low_grip", "scale", None))] *= 1.0 - LESS_GRIP
+        [less] = self.with_grips(values, np.array([[1.0 - LESS_GRIP]]))
         return less
+
+    def with_grips(self, values: Array, shares: Array) -> Array:
+        """Return flat sets (sets, parameters) of a robot whose wheels have other grip.
+
+        `shares` (sets, wheels) of what they have by `values`, a flat set.
+        """
+        sets = np.tile(values, (len(shares), 1))
+        sets[:, list(self.place("low_grip", "scale", None))] *= shares
+        return sets
 
     def shown_s(self, values: Array, time_s: Array) -> Array:
         """Return the times whose pose a robot's camera shows in rows of some times (rows,).
