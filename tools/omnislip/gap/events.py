@@ -300,7 +300,10 @@ def without_repeated(runs: Sequence[Run], impacts: Sequence[Impact]) -> list[Imp
     what the robot does there by itself. Where every run of a simulated scenario has the same push,
     it is refused too.
     """
-    return [one for one in impacts if not any(_repeats(runs, one, other) for other in impacts)]
+    commands = [_commands_before(runs, push) for push in impacts]
+    around = [_commands_before(runs, push, SPAN_ROWS) for push in impacts]
+    pushes = list(zip(impacts, commands, around, strict=True))
+    return [one[0] for one in pushes if not any(_repeats(one, other) for other in pushes)]
 
 
 def beside_lost_rows(log: Log, time_s: float) -> bool:
@@ -316,22 +319,22 @@ def too_often(runs: Sequence[Run], impacts: Sequence[Impact]) -> bool:
     return len(impacts) * LEAST_BETWEEN_S > max(duration_s, LEAST_BETWEEN_S)
 
 
-def _repeats(runs: Sequence[Run], one: Impact, other: Impact) -> bool:
+def _repeats(pushed: tuple[Impact, Array, Array], pushed_too: tuple[Impact, Array, Array]) -> bool:
+    """Whether a push is as another one, each with the commands before it and around it."""
+    (one, own, own_around), (other, others, others_around) = pushed, pushed_too
     if one is other:
         return False
-    own, others = (_commands_before(runs, push) for push in (one, other))
     if one.run != other.run and abs(one.time_s - other.time_s) <= REPEATED_S:
         return bool(np.abs(own - others).max() < COMMAND_JUMP)
     # Where a command jumps within the row it comes just after what it feigns.
     driven, stirred = np.abs(own).max() >= DRIVEN, np.ptp(own, axis=0).max() >= STIRRED
-    own, others = (_commands_before(runs, push, SPAN_ROWS) for push in (one, other))
-    moved = np.ptp(own, axis=0).max()
+    moved = np.ptp(own_around, axis=0).max()
     if not driven or not (stirred or moved >= TURNED):
         return False
     jump, jump_of_other = one.jump / PROBE, other.jump / PROBE
     most = PUSHED_ALIKE * max(np.linalg.norm(jump), np.linalg.norm(jump_of_other))
     return any(
-        np.abs(own - way * others).max() < DRIVEN_ALIKE * moved
+        np.abs(own_around - way * others_around).max() < DRIVEN_ALIKE * moved
         and np.linalg.norm(jump - way * jump_of_other) < most
         for way in (1.0, -1.0)
     )

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -89,7 +90,7 @@ class Run:
         """Time from which on the filter has found the initial state."""
         return float(self.t_s[0]) + self.recording.settle_s
 
-    @property
+    @cached_property
     def row_s(self) -> float:
         """Time from row to row, the median."""
         return float(np.median(np.diff(self.t_s)))
