@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from omnislip.gap import truth
 from omnislip.gap.leftover import find_leftover, responses
 from omnislip.gap.machine import Machine
 from omnislip.gap.recordings import make_run, unwrap_counts
@@ -65,6 +66,40 @@ def test_beat_in_time_is_found_with_its_frequency_and_size(tmp_path, shift_rows)
     assert "7.3 Hz" in found.dependence
     assert "times the size of the command" in found.dependence
     assert np.max(found.y) == pytest.approx(0.2, rel=0.2)
+
+
+def bumps_met(log):
+    """Share of its process noise that the generator gives a robot in the mean of a log.
+
+    v / (v + 0.1 m/s), of the speed of its wheels' places: at rest it meets no bumps.
+    """
+    shown = np.flatnonzero(~np.isnan(log.columns["pose/x_m"]))
+    pose = np.stack([log.columns[f"pose/{name}"][shown] for name in ("x_m", "y_m", "theta_rad")])
+    rate = (pose[:, 5:] - pose[:, :-5]) / (log.t_s[shown][5:] - log.t_s[shown][:-5])
+    speed = np.hypot(rate[0], rate[1]) + 0.2 * np.abs(rate[2])
+    return np.mean(speed / (speed + 0.1))
+
+
+def test_a_load_that_beats_is_found_with_its_frequency_and_force(tmp_path, monkeypatch):
+    """3 N sin(2 pi 2.6 Hz t) along the world's x; its phase is another in every log."""
+    chance = truth.coloured_noise
+
+    def beating(rng, rows):
+        pushed = chance(rng, rows)
+        phase = 2.0 * np.pi * (2.6e-3 * np.arange(rows) + rng.uniform())
+        pushed[:, 0] += 3.0 * np.sin(phase)
+        return pushed
+
+    monkeypatch.setattr(truth, "coloured_noise", beating)
+    machine, runs = hidden(tmp_path, "pwm_beat", {"torque_nm": 0.0, "frequency_hz": 7.3})
+    logs = [read_log(path, "robot") for path in sorted(tmp_path.glob("run_*.csv"))]
+    found = described(machine, runs)
+    assert found.equation == "world/force_x"
+    assert float(re.search(r"wave of ([0-9.]+) Hz", found.dependence)[1]) == pytest.approx(
+        2.6, 0.01
+    )
+    force_n = 3.0 * np.mean([bumps_met(log) for log in logs])
+    assert np.max(found.y) == pytest.approx(force_n, rel=0.2)
 
 
 def test_drag_of_fast_wheels_is_a_curve_over_their_speed(tmp_path):

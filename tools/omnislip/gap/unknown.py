@@ -47,6 +47,10 @@ PEAK = 12.0
 1 %)."""
 SLOW_SHARE = 0.02
 SHAFT_TORQUE = "torque"
+DISTURBED = [*range(4), 8, 9, 10]
+"""States of a robot that its disturbances push, in their order."""
+BEATING = ("wheel/1/torque", "world/force_x", "world/force_y", "body/moment")
+"""Equations, alone or first of all wheels, in which a beat is looked for."""
 P_VALUE = 1e-6
 """Over all pairs of equation and quantity."""
 MOST_TERMS = 3
@@ -275,14 +279,13 @@ class _Study:
 
     def _waves(self, members: Sequence[Equation]) -> list[Quantity]:
         """Regular beats in the disturbances that the filter saw in these equations."""
-        if members[0].symbol != SHAFT_TORQUE or self._data.machine.kind != "robot":
+        if members[0].name not in BEATING or self._data.machine.kind != "robot":
             return []
         found = []
-        weights: dict[str, Callable[..., Array]] = {
-            "": lambda x, d, t, i: np.ones(len(x)),
-            "the command": lambda x, d, t, i: d[:, i],
-            "the size of the command": lambda x, d, t, i: np.abs(d[:, i]),
-        }
+        weights: dict[str, Callable[..., Array]] = {"": lambda x, d, t, i: np.ones(len(x))}
+        if members[0].symbol == SHAFT_TORQUE:
+            weights["the command"] = lambda x, d, t, i: d[:, i]
+            weights["the size of the command"] = lambda x, d, t, i: np.abs(d[:, i])
         for name, weight in weights.items():
             power = _power(self._spectra(members, weight, FREQUENCIES_HZ))
             peak = int(np.argmax(power))
@@ -301,7 +304,12 @@ class _Study:
         spectra = []
         for run, state in self._states():
             turn = np.exp(-2j * np.pi * np.outer(frequencies_hz, run.time_s))
-            seen = state[:, DISTURBANCES][:, [one.motor for one in members]]
+            pushed = np.zeros((len(members), *state.shape))
+            for own, one in zip(pushed, members, strict=True):
+                for index, rate in one.push(state).items():
+                    own[:, index] = rate
+            disturbances = state[:, DISTURBANCES]
+            seen = np.einsum("mkj,kj->km", pushed[:, :, DISTURBED], disturbances)
             weights = [weight(state, run.command, run.time_s, one.motor) for one in members]
             spectra.append((turn @ (np.stack(weights, axis=1) * (seen - seen.mean(axis=0)))).T)
         return np.stack(spectra)
