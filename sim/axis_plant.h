@@ -128,12 +128,15 @@ class AxisPlant {
     }
 
     double fastest_rate_1_s() const {
+        using std::max;
         S moving[2] = {S(1e-3) * c_.friction_speed, S(0.0)};
         S still[2] = {S(0.0), S(0.0)};
         const S none = S(0.0);
         const S slope =
             (friction(still, none, none, none) - friction(moving, none, none, none)) / moving[0];
-        const S rate = gear_.rate_1_s(back_emf_ / inertia_, slope / inertia_);
+        const S ripple = ripple_rate_1_s(c_.ripple_nm[0], inertia_, least_way_rad());
+        const S rate = max(gear_.rate_1_s(back_emf_ / inertia_, slope / inertia_),
+                           S(kRatePerRipple) * ripple);
         double worst = 0.0;
         for (int i = 0; i < LaneCount<S>::value; ++i)
             worst = std::max(worst, lane(rate, i));
@@ -184,6 +187,10 @@ class AxisPlant {
         return term.current_a[0];
     }
 
+    S least_way_rad() const {
+        return S(kLeastWay_s) * c_.friction_speed;
+    }
+
     /* `carried`: torque that the gear transmits, from the motor or from the load. */
     S friction(const S *x, const S &motor_force, const S &carried, const S &time_s) const {
         using std::tanh;
@@ -194,6 +201,8 @@ class AxisPlant {
         term.speed_rad_s = x;
         term.angle_rad = x + 1;
         term.motor_torque_nm = &carried;
+        term.inertia_kg_m2 = &inertia_;
+        term.least_way_rad = least_way_rad();
         term.torque_nm[0] = S(0.0);
         term.sign[0] = tanh(x[0] / c_.friction_speed);
         active_.apply(kShaft, [&](auto effect, const Values<S> &values) {

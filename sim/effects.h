@@ -100,6 +100,7 @@ struct Constants {
     S pose_delay_s, clock_fraction; /* of the camera */
     S zero_angle_rad;               /* reading at which a pendulum hangs straight down */
     S friction_speed;               /* rad/s at the shaft; a Coulomb torque is smoothed over it */
+    S ripple_nm[N], ripple_per_rad[N]; /* torque on a shaft that repeats with its angle */
     /* memory: see memory.h */
     S delay_s[N], driver_lag_s[N], inductance_h[N], heating_1_a2_s[N];
     S bristle_length_m[N], bristle_rolling[N];
@@ -129,7 +130,9 @@ struct ShaftTerm {
     const S *speed_rad_s;
     const S *angle_rad;
     const S *motor_torque_nm;
-    S sign[N]; /* smooth sign of the speed, tanh(W / friction speed) */
+    const S *inertia_kg_m2;
+    S least_way_rad; /* amplitude of a ripple of the shafts' angles that shows nowhere */
+    S sign[N];       /* smooth sign of the speed, tanh(W / friction speed) */
 };
 
 template <class S, int N>
@@ -585,6 +588,36 @@ struct OneWheelDrag : Effect {
     }
 };
 
+/* The least way to be seen is that of so long a time at the speed over which dry friction is
+ * smoothed (1e-4 rad of a robot's shafts, a thirtieth of a count). And the rate by which steps are
+ * chosen for one of a ripple: a step of 2.5 rad of it, in which the rule of weights is off by 1 %.
+ */
+constexpr double kLeastWay_s = 50e-6;
+constexpr double kRatePerRipple = 1.4 / 2.5;
+
+/* So fast that it shows nowhere a ripple fades, and is not followed: of a torque T sin(n th) at the
+ * speed W the shaft's angle keeps T / (J (n W)^2), which is the least way to be seen, e, at the
+ * rate n W = sqrt(T / (J e)). From there to 1.5 times that rate the ripple is taken away. Steps
+ * that are too long for it would see any part of it, for long where n W h is near a whole turn. */
+template <class S>
+S ripple_rate_1_s(const S &torque_nm, const S &inertia_kg_m2, const S &least_way_rad) {
+    using std::abs;
+    using std::sqrt;
+    return sqrt(abs(torque_nm) / (inertia_kg_m2 * least_way_rad));
+}
+template <class S>
+S ripple_left(const S &torque_nm, const S &rate_1_s, const S &inertia_kg_m2,
+              const S &least_way_rad) {
+    using std::abs;
+    using std::max;
+    using std::min;
+    constexpr double gone = 1.5 * 1.5 - 1.0, tiny_nm = 1e-30;
+    const S size = abs(torque_nm) + S(tiny_nm);
+    const S beyond = rate_1_s * rate_1_s * inertia_kg_m2 * least_way_rad - size;
+    const S u = max(min(beyond / (S(gone) * size), S(1.0)), S(0.0));
+    return S(1.0) - u * u * (S(3.0) - S(2.0) * u);
+}
+
 struct Cogging : Effect {
     static constexpr EffectInfo info = {"cogging",
                                         "Torque ripple that repeats with the angle of the shaft.",
@@ -599,10 +632,20 @@ struct Cogging : Effect {
                                          {"cycles_per_rev", "1", 7.0, 1.0, 200.0, 0.0},
                                          {"phase_rad", "rad", 0.0, -kPi, kPi, 0.0}}};
     template <class S, int N>
+    static void prepare(Constants<S, N> &c, const Values<S> &p) {
+        for (int i = 0; i < N; ++i) {
+            c.ripple_nm[i] = p(0, i);
+            c.ripple_per_rad[i] = p(1, i);
+        }
+    }
+    template <class S, int N>
     static void shaft(ShaftTerm<S, N> &c, const Values<S> &p) {
         using std::sin;
         for (int i = 0; i < N; ++i) {
-            c.torque_nm[i] = c.torque_nm[i] - p(0, i) * sin(p(1, i) * c.angle_rad[i] + p(2, i));
+            const S left = ripple_left(p(0, i), p(1, i) * c.speed_rad_s[i], c.inertia_kg_m2[i],
+                                       c.least_way_rad);
+            const S ripple_nm = p(0, i) * sin(p(1, i) * c.angle_rad[i] + p(2, i));
+            c.torque_nm[i] = c.torque_nm[i] - left * ripple_nm;
         }
     }
 };

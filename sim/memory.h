@@ -77,7 +77,7 @@ void forget(Constants<S, N> &c) {
     for (int i = 0; i < N; ++i) {
         c.delay_s[i] = c.driver_lag_s[i] = c.inductance_h[i] = S(0.0);
         c.heating_1_a2_s[i] = c.bristle_length_m[i] = c.bristle_rolling[i] = S(0.0);
-        c.play_rad[i] = S(0.0);
+        c.play_rad[i] = c.ripple_nm[i] = c.ripple_per_rad[i] = S(0.0);
         c.stiffness_nm_rad[i] = S(kUnbounded);
         c.damping_nm_s_rad[i] = S(0.0);
         c.load_share[i] = S(kLoadShare);

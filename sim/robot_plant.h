@@ -226,6 +226,7 @@ class RobotPlant : public RobotLayout {
     /* Bound on the fastest rate of the linearised plant [1/s]; the step is chosen from it. */
     double fastest_rate_1_s() const {
         using std::max;
+        using std::min;
         S rate = S(0.0);
         const S stiffness = S(2.0 / kPi) * c_.slip_stiffness_s_m;
         for (int i = 0; i < 4; ++i) {
@@ -241,6 +242,10 @@ class RobotPlant : public RobotLayout {
             const S shaft =
                 gear_[i].rate_1_s(motor * per_inertia, damping * ratio * ratio * per_inertia);
             rate = max(rate, shaft + body);
+            const S rolling = c_.ripple_per_rad[i] * c_.supply_v / c_.back_emf_constant_v_s_rad[i];
+            const S ripple =
+                ripple_rate_1_s(c_.ripple_nm[i], c_.shaft_inertia_kg_m2[i], least_way_rad());
+            rate = max(rate, S(kRatePerRipple) * min(ripple, rolling));
         }
         double worst = 0.0;
         for (int i = 0; i < LaneCount<S>::value; ++i)
@@ -471,6 +476,10 @@ class RobotPlant : public RobotLayout {
         }
     }
 
+    S least_way_rad() const {
+        return S(kLeastWay_s) * c_.friction_speed;
+    }
+
     ShaftTerm<S, 4> friction(const S *speed, const S *angle, const S *motor_torque,
                              const S &time_s) const {
         using std::tanh;
@@ -478,6 +487,8 @@ class RobotPlant : public RobotLayout {
         term.speed_rad_s = speed;
         term.angle_rad = angle;
         term.motor_torque_nm = motor_torque;
+        term.inertia_kg_m2 = c_.shaft_inertia_kg_m2;
+        term.least_way_rad = least_way_rad();
         for (int i = 0; i < 4; ++i) {
             term.torque_nm[i] = S(0.0);
             term.sign[i] = tanh(speed[i] / c_.friction_speed);

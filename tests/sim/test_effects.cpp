@@ -267,8 +267,17 @@ static void asymmetric_friction_acts_in_the_positive_direction_only(void) {
 
 static void cogging_repeats_with_the_shaft_angle(void) {
     assert_shaft_torques(
-        RobotModel().effect("cogging", "torque_nm", 0.01).effect("cogging", "phase_rad", 0.4),
-        per_wheel([](auto i) { return -0.01 * std::sin(7.0 * kMoving[4 + i] + 0.4); }));
+        RobotModel().effect("cogging", "torque_nm", 0.02).effect("cogging", "phase_rad", 0.4),
+        per_wheel([](auto i) { return -0.02 * std::sin(7.0 * kMoving[4 + i] + 0.4); }));
+}
+
+/* The shafts turn by 2 mN m / (J (7 W)^2) to and fro: of 1e-4 rad at 894 rad/s and less beyond. */
+static void cogging_fades_where_no_encoder_shows_it(void) {
+    const double u = (std::pow(7.0 * 150.0, 2) * 2.5e-5 * 1e-4 / 0.002 - 1.0) / 1.25;
+    const std::array<double, 4> left = {0.0, 1.0 - u * u * (3.0 - 2.0 * u), 1.0, 1.0};
+    assert_shaft_torques(RobotModel().effect("cogging", "torque_nm", 0.002), per_wheel([&](auto i) {
+                             return -0.002 * left[i] * std::sin(7.0 * kMoving[4 + i]);
+                         }));
 }
 
 static void shaft_inertia_divides_the_shaft_acceleration(void) {
@@ -744,6 +753,7 @@ int main(void) {
     RUN_TEST(friction_torques_are_as_documented);
     RUN_TEST(asymmetric_friction_acts_in_the_positive_direction_only);
     RUN_TEST(cogging_repeats_with_the_shaft_angle);
+    RUN_TEST(cogging_fades_where_no_encoder_shows_it);
     RUN_TEST(shaft_inertia_divides_the_shaft_acceleration);
     RUN_TEST(grip_effects_scale_the_drive_force);
     RUN_TEST(slip_stiffness_scales_the_slip);

@@ -357,6 +357,23 @@ static void stiff_light_robot_is_stable_at_the_default_step(void) {
                                       .set("contact.slip_stiffness_s_m", 400.0));
 }
 
+/* Wheels that slide pass six magnets a turn 570 times a second: a row of 5 ms has three of them,
+ * and a step that sees each at another place would see a steady torque now and then. */
+static void shafts_that_cog_fast_are_followed_at_the_default_step(void) {
+    const RobotModel model =
+        RobotModel().effect("cogging", "torque_nm", 0.1).effect("cogging", "cycles_per_rev", 6.0);
+    Robot robot(model), fine(model);
+    for (int row = 0; row < 200; ++row) {
+        const double d = 0.3 + 0.003 * row;
+        robot.drive({d, -d, -0.8 * d, 0.9 * d}, 5e-3, 5e-3);
+        fine.drive({d, -d, -0.8 * d, 0.9 * d}, 5e-3, 1e-5);
+        for (std::size_t i = 0; i < 4; ++i) {
+            TEST_ASSERT_DOUBLE_WITHIN(0.01, fine.x[4 + i], robot.x[4 + i]);
+        }
+    }
+    TEST_ASSERT_TRUE(std::abs(fine.x[0]) > 600.0);
+}
+
 /* A gentle turn keeps the wheels on the steep part of the friction law. */
 static void robot_of_small_inertia_turns_without_chatter(void) {
     Robot robot(RobotModel().set("robot.inertia_kg_m2", 0.08).set("contact.mu_drive", 1.2));
@@ -395,6 +412,7 @@ int main(void) {
     RUN_TEST(error_of_either_rule_falls_with_the_fourth_power_of_the_step);
     RUN_TEST(steps_divide_the_interval_and_keep_to_both_bounds);
     RUN_TEST(stiff_light_robot_is_stable_at_the_default_step);
+    RUN_TEST(shafts_that_cog_fast_are_followed_at_the_default_step);
     RUN_TEST(robot_of_small_inertia_turns_without_chatter);
     RUN_TEST(robot_with_dragging_rollers_is_stable_at_the_default_step);
     return UNITY_END();
