@@ -304,16 +304,22 @@ def test_commands_of_the_bench_reverse_and_rest():
     assert command.min() < -1 < 1 < command.max()
 
 
+BLOCKS = np.repeat(np.arange(40), 50)
+
+
 def weighed(machine, explained):
     """Evidence of an effect whose score is far too large in block 0 of 40.
 
     `explained` says for each block whether the effect explains anything there.
     """
     rng = np.random.default_rng(0)
-    blocks = np.repeat(np.arange(40), 50)
-    column, residual = rng.standard_normal((2, blocks.size))
-    residual[blocks == 0] += 5.0 * column[blocks == 0]
-    column = np.where(explained[blocks], column, 0.0)
+    column, residual = rng.standard_normal((2, BLOCKS.size))
+    residual[BLOCKS == 0] += 5.0 * column[BLOCKS == 0]
+    return evidence_of(machine, np.where(explained[BLOCKS], column, 0.0), residual)
+
+
+def evidence_of(machine, column, residual):
+    """Evidence of an effect that takes a column out of the residuals."""
     effect = candidate(machine, "coulomb_friction")
     alone = Hypothesis((), (effect,), np.array([effect.parameters[0].scale]))
     with_effect = Fit(alone, float(residual @ residual), residual, column[:, None])
@@ -321,7 +327,21 @@ def weighed(machine, explained):
     without = Fit(
         Hypothesis((), (), np.zeros(0)), float(left @ left), left, np.zeros((left.size, 0))
     )
-    return weigh(SimpleNamespace(blocks=blocks), without, with_effect, 0)
+    return weigh(SimpleNamespace(blocks=BLOCKS), without, with_effect, 0)
+
+
+@pytest.mark.parametrize(("share", "told"), [(1.0 / 40.0, True), (0.5, True), (0.9, False)])
+def test_a_gain_that_one_block_makes_by_itself_is_an_accident(exact, share, told):
+    """Of 60 in 40 blocks of noise that says nothing of its own, `share` of it in the first."""
+    rng = np.random.default_rng(1)
+    column, residual = rng.standard_normal((2, BLOCKS.size))
+    wanted = np.where(BLOCKS == 0, 60.0 * share, 60.0 * (1.0 - share) / 39.0)
+    column *= np.sqrt(wanted / np.bincount(BLOCKS, column**2)[BLOCKS])
+    along = np.bincount(BLOCKS, column * residual) / np.bincount(BLOCKS, column**2)
+    residual -= along[BLOCKS] * column
+    evidence = evidence_of(exact, column, residual)
+    assert evidence.gain == pytest.approx(60.0)
+    assert (evidence.p_value < 1e-5) == told
 
 
 def test_one_bad_block_does_not_hide_what_all_others_show(exact):

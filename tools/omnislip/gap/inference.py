@@ -935,19 +935,27 @@ def weigh(data: Data, without: Fit, with_effect: Fit, index: int) -> Evidence:
         tested = _projected(with_effect, [own[i] for i in effect.amplitudes])
     scatter = scatter_of(data, tested[0], with_effect.residual, tested[1])
     gain = without.objective - with_effect.objective
-    p_value = _chance(gain, scatter, len(own))
-    squares = without.residual**2 - with_effect.residual**2
-    if scatter.blocks < FEW_BLOCKS + 1:
-        count = int(data.blocks[-1]) + 1
-        for left_out in range(1, FEW_BLOCKS + 1):
-            others = ~np.isin(data.blocks, scatter.worst[:left_out])
-            kept = tested[0] * others[:, None]
-            rest = scatter_of(data, kept, with_effect.residual, kept.T @ kept)
-            chance = _chance(gain - float(np.sum(squares[~others])), rest, len(own))
-            p_value = min(p_value, chance * comb(count, left_out))
+    gains = np.bincount(data.blocks, without.residual**2 - with_effect.residual**2)
+
+    def chance_without(blocks: Array) -> float:
+        """Return the p-value without blocks, or without few of those that make c as well."""
+        left_out = [scatter.worst[:few] for few in range(FEW_BLOCKS + 1)]
+        if scatter.blocks >= FEW_BLOCKS + 1:
+            left_out = left_out[:1]
+        chances = []
+        for few in left_out:
+            gone = np.union1d(blocks, few)
+            rest = scatter
+            if gone.size:
+                kept = tested[0] * ~np.isin(data.blocks, gone)[:, None]
+                rest = scatter_of(data, kept, with_effect.residual, kept.T @ kept)
+            chance = _chance(gain - float(np.sum(gains[gone])), rest, len(own))
+            chances.append(chance * comb(len(gains), len(few)))
+        return min(chances)
+
+    p_value = chance_without(np.zeros(0, np.int64))
     if gain / scatter.inflation < NO_ACCIDENT:
-        best = float(np.max(np.bincount(data.blocks, squares)))
-        p_value = max(p_value, _chance(gain - best, scatter, len(own)))
+        p_value = max(p_value, chance_without(np.argsort(-gains)[:1]))
     free = np.ix_(*2 * [[k for k, p in enumerate(effect.parameters) if p.low < p.high]])
     covariance = np.zeros_like(information)
     covariance[free] = np.linalg.pinv(information[free])

@@ -37,6 +37,8 @@ SLOW_M_S = 0.1
 SLIDING_M_S = 0.2
 """By how much wheels that slide misjudge the speed of a robot; beyond it the filter's linear
 path would begin wrong, below it finds the velocity by itself."""
+FIRST_ROWS = 3
+"""Rows by which the first speeds of the shafts are told."""
 GLANCE_S, LEAST_GLANCES = 0.2, 5
 """For which the camera is looked at for the first velocity, and poses it must show meanwhile."""
 UNSEEN_SETTLE_S = 1.0
@@ -158,7 +160,7 @@ def make_run(machine: Machine, log: Log, begin: int = 0, end: int | None = None)
         command, outputs = _robot_signals(machine, log, rows)
         rim_m_s = _rim_speeds(machine, t_s, outputs, 1)
         at_rest = begin == 0 and bool(np.max(np.abs(rim_m_s)) < SLOW_M_S)
-        state, seen = _first_state(machine, t_s, outputs)
+        state, seen = _first_state(machine, t_s, outputs, at_rest)
         settle_s = _core.SETTLE_S if at_rest or seen else UNSEEN_SETTLE_S
         t_s, command, outputs, jumped = parted_at_jumps(t_s, command, outputs)
         channels: tuple[str, ...] = robot_channels(machine)
@@ -339,14 +341,20 @@ def _unwrap_sampled(angle_rad: Array) -> Array:
     return result
 
 
-def _first_state(machine: Machine, t_s: Array, outputs: Array) -> tuple[Array, bool]:
+def _first_state(machine: Machine, t_s: Array, outputs: Array, at_rest: bool) -> tuple[Array, bool]:
     """Return the first state (14,), and whether the camera has seen its velocity.
 
-    Wheel speeds from the first rows, body velocity by J+ of eq. (3), pose from its first row. Where
-    camera or gyro see that the wheels slide, they tell the velocity: a parabola through the poses
-    of GLANCE_S, its slope turned into the robot's axes.
+    Wheel speeds from the first rows, where the robot stood by a parabola through them and no faster
+    than in the first: a motor gains ten turns a second in a row. Body velocity by J+ of eq. (3),
+    pose from its first row. Where camera or gyro see that the wheels slide, they tell the velocity:
+    a parabola through the poses of GLANCE_S, its slope turned into the robot's axes.
     """
-    rim_m_s = _rim_speeds(machine, t_s, outputs, 3)
+    rim_m_s = _rim_speeds(machine, t_s, outputs, FIRST_ROWS)
+    if at_rest and len(t_s) > FIRST_ROWS:
+        rows, most_m_s = slice(0, FIRST_ROWS + 1), _rim_speeds(machine, t_s, outputs, 1)
+        turned = np.polynomial.polynomial.polyfit(t_s[rows] - t_s[0], outputs[rows, :4], 2)
+        begun_m_s = turned[1] * rim_m_per_rad(machine)
+        rim_m_s = np.clip(begun_m_s, np.minimum(most_m_s, 0.0), np.maximum(most_m_s, 0.0))
     velocity = np.linalg.pinv(wheel_jacobian(machine)) @ rim_m_s
     first = [column[~np.isnan(column)][:1] for column in outputs[:, 5:8].T]
     pose = [float(value[0]) if value.size else 0.0 for value in first]
