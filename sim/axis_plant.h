@@ -135,8 +135,8 @@ class AxisPlant {
         const S slope =
             (friction(still, none, none, none) - friction(moving, none, none, none)) / moving[0];
         const S ripple = ripple_rate_1_s(c_.ripple_nm[0], inertia_, least_way_rad());
-        const S rate = max(gear_.rate_1_s(back_emf_ / inertia_, slope / inertia_),
-                           S(kRatePerRipple) * ripple);
+        const S rate =
+            max(gear_.rate_1_s(back_emf_ / inertia_, slope / inertia_), S(kRatePerRipple) * ripple);
         double worst = 0.0;
         for (int i = 0; i < LaneCount<S>::value; ++i)
             worst = std::max(worst, lane(rate, i));
