@@ -259,6 +259,27 @@ def test_a_slow_camera_that_sways_is_asked_by_its_readings():
     assert shares_of_sensors(bend=swaying)["pose/x_m"].share > SENSOR_SHARE
 
 
+def test_where_in_its_play_a_gear_is_is_no_news_of_a_camera():
+    """At either end of 0.1 rad: 2.5 mm of each rim, by J+ of wheels at 30 degrees."""
+    machine = Machine(read_model(NOMINAL_ROBOT))
+    values = machine.believed.copy()
+    assert not predictable._within_play(machine, values).any()
+    values[list(machine.place("gear_backlash", "angle_rad", None))] = 0.1
+    found = predictable._within_play(machine, values)
+    body = (1.0 + 1.0 / 3.0) / 2.0
+    np.testing.assert_allclose(found, 2.5e-3**2 * np.array([body, body, 1.0 / (4 * 0.2**2)]))
+
+
+def test_what_a_sensor_tells_of_itself_counts_beyond_what_is_no_news():
+    lasting = lfilter([1.0], [1.0, -0.9], np.random.default_rng(0).standard_normal(4000))
+    owner, target, past = np.repeat(np.arange(4), 1000)[1:], lasting[1:], lasting[:-1, None]
+    shares = [
+        predictable._share("pose/x_m", target, owner, past, predictable._by_line, 0.06, 0.0, own)
+        for own in (0.0, 0.5 * float(np.mean(target**2)))
+    ]
+    assert shares[0].share - shares[1].share == pytest.approx(0.5)
+
+
 @pytest.mark.parametrize("runs", [1, 2])
 def test_too_few_parts_to_learn_from_others(runs):
     assert shares_of(runs=runs) == []

@@ -29,7 +29,8 @@ command changed: for that is how a controller answers chance.
 What sensors show besides need not move the robot: a supply that dips, a marker on a mast that
 sways. Innovations of a sensor are white where nothing is missing, and tell at most 1 % of
 themselves after 60 ms (or three readings of a slow one). They are asked for their own past, too,
-but for what a clock that drifts and skips shows in all of them.
+but for what a clock that drifts and skips shows in all of them, and a camera for where in their
+play gears are.
 
 No term has to be guessed beforehand, so this finds hysteresis, products and thresholds too; it does
 not say what they are (unknown.py tries to). Beside effects that explain nearly everything a small
@@ -49,7 +50,7 @@ from threadpoolctl import threadpool_limits
 
 from omnislip import _core
 from omnislip.gap.answers import foreseen, lead_rows
-from omnislip.gap.machine import LESS_GRIP, Machine
+from omnislip.gap.machine import LESS_GRIP, POSE_X, Machine
 from omnislip.gap.noise import (
     BODY,
     DISTURBANCES,
@@ -61,7 +62,7 @@ from omnislip.gap.noise import (
     stamp_slope,
     track_all,
 )
-from omnislip.gap.recordings import Run
+from omnislip.gap.recordings import Run, wheel_jacobian
 from omnislip.gap.side_by_side import side_by_side
 
 Array = npt.NDArray[np.float64]
@@ -88,6 +89,7 @@ OWN_PASTS_S = (
 the third nothing of it is left, and what beats goes on."""
 SENSOR_PAST_S, LEAST_READINGS = OWN_PASTS_S[0], 3
 """Own past of a sensor, and how many readings earlier it ends at least."""
+POSE = range(POSE_X, POSE_X + 3)
 REST = 0.2
 SEEN = 1e-3
 """Share of the variance that the noise allows below which the filter saw no disturbances: what it
@@ -182,7 +184,7 @@ def predictable_shares(
 
     shares = side_by_side(shares_of, range(len(EQUATIONS)))
     found = [one for own in shares for one in own]
-    found += _of_sensors(runs, tracks, unnamed, owned)
+    found += _of_sensors(runs, tracks, unnamed, owned, _within_play(machine, values))
     return sorted(found, key=lambda one: -one.share)
 
 
@@ -194,8 +196,12 @@ def _share(
     predicted: Callable[[Array, Array, Array], Array],
     ahead_s: float,
     least: float,
+    feigned: float = 0.0,
 ) -> Predictable:
-    """Learn a target (rows,) from what is known (rows, features), log by log (`owner`, rows)."""
+    """Learn a target (rows,) from what is known (rows, features), log by log (`owner`, rows).
+
+    Of what it tells, the variance `feigned` is no news.
+    """
     logs = int(owner.max()) + 1
     whole = np.bincount(owner, target**2, minlength=logs)
     error = np.empty_like(target)
@@ -204,7 +210,8 @@ def _share(
         learned = predicted(known[~unseen], target[~unseen], known[unseen])
         error[unseen] = target[unseen] - learned
     left = np.bincount(owner, error**2, minlength=logs)
-    share = float((whole.sum() - left.sum()) / max(whole.sum(), least, 1e-300))
+    told = whole.sum() - left.sum() - feigned * len(target)
+    share = float(told / max(whole.sum(), least, 1e-300))
     stirred = whole >= STIRRED * whole.mean()
     helped, voters = int(np.sum(left[stirred] < whole[stirred])), int(stirred.sum())
     past, command = predicted is _by_line, predicted is _by_bins
@@ -216,11 +223,13 @@ def _of_sensors(
     tracks: Sequence[_core.Track],
     unnamed: Sequence[_core.Track],
     owned: Sequence[int],
+    within_play: Array,
 ) -> list[Predictable]:
     """Return the share of each sensor's innovations that their own past tells.
 
     `tracks` are those of the final model with their matrices, `unnamed` of the one without effects.
     What the stamps of rows may be off by is taken out of the first. `owned`: numbers of the logs.
+    `within_play` (3,): variance of what a camera shows that nothing tells.
     """
     found = []
     as_stamped = [_without_stamps(run, track) for run, track in zip(runs, tracks, strict=True)]
@@ -243,8 +252,23 @@ def _of_sensors(
             continue
         target, past, owner = (np.concatenate(each) for each in (targets, pasts, owners))
         ahead_s = SENSOR_PAST_S[0]
-        found.append(_share(channel, target, owner, past, _by_line, ahead_s, REST * there))
+        feigned = within_play[output - POSE_X] if output in POSE else 0.0
+        least = REST * there
+        found.append(_share(channel, target, owner, past, _by_line, ahead_s, least, feigned))
     return found
+
+
+def _within_play(machine: Machine, values: Array) -> Array:
+    """Return the variance (3,) of the pose beside the shafts where gears have play.
+
+    Where in its play p a gear is nothing tells, and it stays there for a while: a wheel is up to
+    R p / 2 off, at either end of it, and the body by J+ of eq. (3).
+    """
+    play_rad = values[list(machine.place("gear_backlash", "angle_rad", None))]
+    rim_m = 0.5 * float(machine.model.values["robot.wheel_radius_m"]) * play_rad
+    along, across, turned = np.sum((np.linalg.pinv(wheel_jacobian(machine)) * rim_m) ** 2, axis=1)
+    in_world = 0.5 * (along + across)
+    return np.array([in_world, in_world, turned])
 
 
 def _without_stamps(run: Run, track: _core.Track) -> Array:
