@@ -134,7 +134,7 @@ class AxisPlant {
         const S none = S(0.0);
         const S slope =
             (friction(still, none, none, none) - friction(moving, none, none, none)) / moving[0];
-        const S ripple = ripple_rate_1_s(c_.ripple_nm[0], inertia_, least_way_rad());
+        const S ripple = ripple_rate_1_s(c_.ripple_nm[0], inertia_, least_way_rad(c_));
         const S rate =
             max(gear_.rate_1_s(back_emf_ / inertia_, slope / inertia_), S(kRatePerRipple) * ripple);
         double worst = 0.0;
@@ -187,10 +187,6 @@ class AxisPlant {
         return term.current_a[0];
     }
 
-    S least_way_rad() const {
-        return S(kLeastWay_s) * c_.friction_speed;
-    }
-
     /* `carried`: torque that the gear transmits, from the motor or from the load. */
     S friction(const S *x, const S &motor_force, const S &carried, const S &time_s) const {
         using std::tanh;
@@ -202,7 +198,7 @@ class AxisPlant {
         term.angle_rad = x + 1;
         term.motor_torque_nm = &carried;
         term.inertia_kg_m2 = &inertia_;
-        term.least_way_rad = least_way_rad();
+        term.least_way_rad = least_way_rad(c_);
         term.torque_nm[0] = S(0.0);
         term.sign[0] = tanh(x[0] / c_.friction_speed);
         active_.apply(kShaft, [&](auto effect, const Values<S> &values) {

@@ -594,6 +594,10 @@ struct OneWheelDrag : Effect {
  */
 constexpr double kLeastWay_s = 50e-6;
 constexpr double kRatePerRipple = 1.4 / 2.5;
+template <class S, int N>
+S least_way_rad(const Constants<S, N> &c) {
+    return S(kLeastWay_s) * c.friction_speed;
+}
 
 /* So fast that it shows nowhere a ripple fades, and is not followed: of a torque T sin(n th) at the
  * speed W the shaft's angle keeps T / (J (n W)^2), which is the least way to be seen, e, at the
@@ -626,7 +630,7 @@ struct Cogging : Effect {
                                         "slots and magnets",
                                         Scope::kCommon,
                                         kRobot | kAxis,
-                                        kShaft,
+                                        kPrepare | kShaft,
                                         3,
                                         {{"torque_nm", "N m", 0.0, 0.0, kUnbounded, 0.004},
                                          {"cycles_per_rev", "1", 7.0, 1.0, 200.0, 0.0},

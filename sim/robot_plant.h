@@ -244,7 +244,7 @@ class RobotPlant : public RobotLayout {
             rate = max(rate, shaft + body);
             const S rolling = c_.ripple_per_rad[i] * c_.supply_v / c_.back_emf_constant_v_s_rad[i];
             const S ripple =
-                ripple_rate_1_s(c_.ripple_nm[i], c_.shaft_inertia_kg_m2[i], least_way_rad());
+                ripple_rate_1_s(c_.ripple_nm[i], c_.shaft_inertia_kg_m2[i], least_way_rad(c_));
             rate = max(rate, S(kRatePerRipple) * min(ripple, rolling));
         }
         double worst = 0.0;
@@ -476,10 +476,6 @@ class RobotPlant : public RobotLayout {
         }
     }
 
-    S least_way_rad() const {
-        return S(kLeastWay_s) * c_.friction_speed;
-    }
-
     ShaftTerm<S, 4> friction(const S *speed, const S *angle, const S *motor_torque,
                              const S &time_s) const {
         using std::tanh;
@@ -488,7 +484,7 @@ class RobotPlant : public RobotLayout {
         term.angle_rad = angle;
         term.motor_torque_nm = motor_torque;
         term.inertia_kg_m2 = c_.shaft_inertia_kg_m2;
-        term.least_way_rad = least_way_rad();
+        term.least_way_rad = least_way_rad(c_);
         for (int i = 0; i < 4; ++i) {
             term.torque_nm[i] = S(0.0);
             term.sign[i] = tanh(speed[i] / c_.friction_speed);

@@ -56,6 +56,30 @@ def test_a_small_fall_of_grip_is_told_where_no_law_takes_its_place(tmp_path, see
     assert within_law(data, base, falling, 0) == (law == "brush")
 
 
+@pytest.mark.parametrize("law", ["atan", "rational", "brush"])
+def test_a_slope_is_told_where_no_law_bends_better(tmp_path, law):
+    """A tenth softer: less than friction off its law may leave. Or another law is like it."""
+    hidden = HiddenEffect("slip_stiffness_error", {"scale": 0.89}).as_dict()
+    case = TruthCase(
+        seed=516,
+        effects=(hidden,) if law == "atan" else (),
+        friction_curve=law,
+        excitation="rich",
+        runs=4,
+        run_duration_s=5.0,
+    )
+    robot, runs, candidates = robot_runs(case, tmp_path)
+    data, base = settle(robot, runs, believed_hypothesis(robot))
+    softer = fit(data, base.hypothesis.with_effect(candidates["slip_stiffness_error"], [0.89]))
+    gain = base.objective - softer.objective
+    bent = softer.objective - judge._any_law(data, base).objective
+    assert (bent < judge.BEYOND_SHARE * gain) == (law == "atan")
+    if law == "atan":
+        assert judge.BENT_SHARE < gain / judge.left_by_law(data, base, softer) < 1.0
+        assert bent > -judge.SURE_GAIN
+        assert not within_law(data, base, softer, 0)
+
+
 @pytest.mark.parametrize("scale", [0.6, 1.0])
 def test_a_slope_that_no_law_has_is_told_beside_another_curve(tmp_path, monkeypatch, scale):
     """However little it explains beside what friction off its law may leave."""

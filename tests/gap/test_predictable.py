@@ -263,11 +263,13 @@ def test_where_in_its_play_a_gear_is_is_no_news_of_a_camera():
     """At either end of 0.1 rad: 2.5 mm of each rim, by J+ of wheels at 30 degrees."""
     machine = Machine(read_model(NOMINAL_ROBOT))
     values = machine.believed.copy()
-    assert not predictable._within_play(machine, values).any()
+    assert not any(predictable._within_play(machine, values).values())
     values[list(machine.place("gear_backlash", "angle_rad", None))] = 0.1
     found = predictable._within_play(machine, values)
     body = (1.0 + 1.0 / 3.0) / 2.0
-    np.testing.assert_allclose(found, 2.5e-3**2 * np.array([body, body, 1.0 / (4 * 0.2**2)]))
+    assert list(found) == POSE_COLUMNS
+    shares = np.array([body, body, 1.0 / (4 * 0.2**2)])
+    np.testing.assert_allclose(list(found.values()), 2.5e-3**2 * shares)
 
 
 def test_what_a_sensor_tells_of_itself_counts_beyond_what_is_no_news():

@@ -939,18 +939,16 @@ def weigh(data: Data, without: Fit, with_effect: Fit, index: int) -> Evidence:
 
     def chance_without(blocks: Array) -> float:
         """Return the p-value without blocks, or without few of those that make c as well."""
-        left_out = [scatter.worst[:few] for few in range(FEW_BLOCKS + 1)]
-        if scatter.blocks >= FEW_BLOCKS + 1:
-            left_out = left_out[:1]
+        most = FEW_BLOCKS if scatter.blocks < FEW_BLOCKS + 1 else 0
         chances = []
-        for few in left_out:
-            gone = np.union1d(blocks, few)
+        for few in range(most + 1):
+            gone = np.union1d(blocks, scatter.worst[:few])
             rest = scatter
             if gone.size:
                 kept = tested[0] * ~np.isin(data.blocks, gone)[:, None]
                 rest = scatter_of(data, kept, with_effect.residual, kept.T @ kept)
             chance = _chance(gain - float(np.sum(gains[gone])), rest, len(own))
-            chances.append(chance * comb(len(gains), len(few)))
+            chances.append(chance * comb(len(gains), few))
         return min(chances)
 
     p_value = chance_without(np.zeros(0, np.int64))

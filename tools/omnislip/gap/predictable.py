@@ -50,7 +50,7 @@ from threadpoolctl import threadpool_limits
 
 from omnislip import _core
 from omnislip.gap.answers import foreseen, lead_rows
-from omnislip.gap.machine import LESS_GRIP, POSE_X, Machine
+from omnislip.gap.machine import LESS_GRIP, Machine
 from omnislip.gap.noise import (
     BODY,
     DISTURBANCES,
@@ -64,6 +64,7 @@ from omnislip.gap.noise import (
 )
 from omnislip.gap.recordings import Run, wheel_jacobian
 from omnislip.gap.side_by_side import side_by_side
+from omnislip.log_file import POSE_COLUMNS
 
 Array = npt.NDArray[np.float64]
 
@@ -89,7 +90,6 @@ OWN_PASTS_S = (
 the third nothing of it is left, and what beats goes on."""
 SENSOR_PAST_S, LEAST_READINGS = OWN_PASTS_S[0], 3
 """Own past of a sensor, and how many readings earlier it ends at least."""
-POSE = range(POSE_X, POSE_X + 3)
 REST = 0.2
 SEEN = 1e-3
 """Share of the variance that the noise allows below which the filter saw no disturbances: what it
@@ -223,13 +223,13 @@ def _of_sensors(
     tracks: Sequence[_core.Track],
     unnamed: Sequence[_core.Track],
     owned: Sequence[int],
-    within_play: Array,
+    within_play: dict[str, float],
 ) -> list[Predictable]:
     """Return the share of each sensor's innovations that their own past tells.
 
     `tracks` are those of the final model with their matrices, `unnamed` of the one without effects.
     What the stamps of rows may be off by is taken out of the first. `owned`: numbers of the logs.
-    `within_play` (3,): variance of what a camera shows that nothing tells.
+    `within_play`: variance of what nothing tells, by channel, of those that show it.
     """
     found = []
     as_stamped = [_without_stamps(run, track) for run, track in zip(runs, tracks, strict=True)]
@@ -252,14 +252,13 @@ def _of_sensors(
             continue
         target, past, owner = (np.concatenate(each) for each in (targets, pasts, owners))
         ahead_s = SENSOR_PAST_S[0]
-        feigned = within_play[output - POSE_X] if output in POSE else 0.0
-        least = REST * there
+        least, feigned = REST * there, within_play.get(channel, 0.0)
         found.append(_share(channel, target, owner, past, _by_line, ahead_s, least, feigned))
     return found
 
 
-def _within_play(machine: Machine, values: Array) -> Array:
-    """Return the variance (3,) of the pose beside the shafts where gears have play.
+def _within_play(machine: Machine, values: Array) -> dict[str, float]:
+    """Return the variance of each channel of the pose beside the shafts where gears have play.
 
     Where in its play p a gear is nothing tells, and it stays there for a while: a wheel is up to
     R p / 2 off, at either end of it, and the body by J+ of eq. (3).
@@ -268,7 +267,7 @@ def _within_play(machine: Machine, values: Array) -> Array:
     rim_m = 0.5 * float(machine.model.values["robot.wheel_radius_m"]) * play_rad
     along, across, turned = np.sum((np.linalg.pinv(wheel_jacobian(machine)) * rim_m) ** 2, axis=1)
     in_world = 0.5 * (along + across)
-    return np.array([in_world, in_world, turned])
+    return dict(zip(POSE_COLUMNS, (in_world, in_world, turned), strict=True))
 
 
 def _without_stamps(run: Run, track: _core.Track) -> Array:

@@ -160,7 +160,7 @@ def make_run(machine: Machine, log: Log, begin: int = 0, end: int | None = None)
         command, outputs = _robot_signals(machine, log, rows)
         rim_m_s = _rim_speeds(machine, t_s, outputs, 1)
         at_rest = begin == 0 and bool(np.max(np.abs(rim_m_s)) < SLOW_M_S)
-        state, seen = _first_state(machine, t_s, outputs, at_rest)
+        state, seen = _first_state(machine, t_s, outputs, rim_m_s if at_rest else None)
         settle_s = _core.SETTLE_S if at_rest or seen else UNSEEN_SETTLE_S
         t_s, command, outputs, jumped = parted_at_jumps(t_s, command, outputs)
         channels: tuple[str, ...] = robot_channels(machine)
@@ -341,17 +341,20 @@ def _unwrap_sampled(angle_rad: Array) -> Array:
     return result
 
 
-def _first_state(machine: Machine, t_s: Array, outputs: Array, at_rest: bool) -> tuple[Array, bool]:
+def _first_state(
+    machine: Machine, t_s: Array, outputs: Array, most_m_s: Array | None
+) -> tuple[Array, bool]:
     """Return the first state (14,), and whether the camera has seen its velocity.
 
     Wheel speeds from the first rows, where the robot stood by a parabola through them and no faster
-    than in the first: a motor gains ten turns a second in a row. Body velocity by J+ of eq. (3),
-    pose from its first row. Where camera or gyro see that the wheels slide, they tell the velocity:
-    a parabola through the poses of GLANCE_S, its slope turned into the robot's axes.
+    than in the first, `most_m_s` (4,): a motor gains ten turns a second in a row. Body velocity by
+    J+ of eq. (3), pose from its first row. Where camera or gyro see that the wheels slide, they
+    tell the velocity: a parabola through the poses of GLANCE_S, its slope turned into the robot's
+    axes.
     """
     rim_m_s = _rim_speeds(machine, t_s, outputs, FIRST_ROWS)
-    if at_rest and len(t_s) > FIRST_ROWS:
-        rows, most_m_s = slice(0, FIRST_ROWS + 1), _rim_speeds(machine, t_s, outputs, 1)
+    if most_m_s is not None and len(t_s) > FIRST_ROWS:
+        rows = slice(0, FIRST_ROWS + 1)
         turned = np.polynomial.polynomial.polyfit(t_s[rows] - t_s[0], outputs[rows, :4], 2)
         begun_m_s = turned[1] * rim_m_per_rad(machine)
         rim_m_s = np.clip(begun_m_s, np.minimum(most_m_s, 0.0), np.maximum(most_m_s, 0.0))

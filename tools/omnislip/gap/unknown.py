@@ -24,6 +24,7 @@ from omnislip.gap.inference import Data, Fit, check_columns, free_of_fitted, inf
 from omnislip.gap.leftover import Leftover
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import DISTURBANCES, track_all
+from omnislip.gap.predictable import MOVED
 from omnislip.gap.recordings import Run
 from omnislip.gap.search import Outcome
 from omnislip.gap.side_by_side import side_by_side
@@ -47,8 +48,6 @@ PEAK = 12.0
 1 %)."""
 SLOW_SHARE = 0.02
 SHAFT_TORQUE = "torque"
-DISTURBED = [*range(4), 8, 9, 10]
-"""States of a robot that its disturbances push, in their order."""
 BEATING = ("wheel/1/torque", "world/force_x", "world/force_y", "body/moment")
 """Equations, alone or first of all wheels, in which a beat is looked for."""
 P_VALUE = 1e-6
@@ -308,8 +307,7 @@ class _Study:
             for own, one in zip(pushed, members, strict=True):
                 for index, rate in one.push(state).items():
                     own[:, index] = rate
-            disturbances = state[:, DISTURBANCES]
-            seen = np.einsum("mkj,kj->km", pushed[:, :, DISTURBED], disturbances)
+            seen = np.einsum("mkj,kj->km", pushed[:, :, MOVED], state[:, DISTURBANCES])
             weights = [weight(state, run.command, run.time_s, one.motor) for one in members]
             spectra.append((turn @ (np.stack(weights, axis=1) * (seen - seen.mean(axis=0)))).T)
         return np.stack(spectra)
