@@ -36,7 +36,7 @@ def test_edges_of_a_patch_that_were_drawn_to_a_wrong_place_are_found_again(tmp_p
     case = TruthCase(seed=8, effects=(hidden,), excitation="rich", runs=2, run_duration_s=4.0)
     robot, runs, candidates = robot_runs(case, tmp_path)
     start = believed_hypothesis(robot).with_effect(
-        candidates["slippery_patch"], [floor["x_min_m"] + 0.04, 0.4, 0.52]
+        candidates["slippery_patch"].along_x(), [floor["x_min_m"] + 0.04, 0.4, 0.52]
     )
     data, stuck = settle(robot, runs, start)
     assert abs(stuck.hypothesis.values_of(0)[0] - floor["x_min_m"]) > 0.015

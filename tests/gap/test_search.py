@@ -10,11 +10,11 @@ from omnislip.gap import ahead as ahead_module
 from omnislip.gap import judge
 from omnislip.gap import search as search_module
 from omnislip.gap.ahead import Ahead
-from omnislip.gap.inference import Data, fit
+from omnislip.gap.inference import VISIBLE_GAIN, Data, fit
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import RunawayError
 from omnislip.gap.recordings import make_run
-from omnislip.gap.screen import VISIBLE_GAIN, screen
+from omnislip.gap.screen import screen
 from omnislip.gap.search import search
 from omnislip.gap.selected import stability_of
 from omnislip.gap.settle import believed_hypothesis, settle

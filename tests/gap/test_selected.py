@@ -19,8 +19,8 @@ def test_an_edge_that_nobody_drove_over_is_open_as_far_as_anybody_drove(tmp_path
     effect = HiddenEffect("slippery_patch", hidden).as_dict()
     case = TruthCase(seed=8, effects=(effect,), runs=2, run_duration_s=4.0)
     robot, runs, candidates = robot_runs(case, tmp_path)
-    patch = candidates["slippery_patch"]
-    end_m = patch.edges_m[-1]
+    patch = candidates["slippery_patch"].along_x()
+    end_m = patch.edges_m[1][-1]
     start = believed_hypothesis(robot).with_effect(patch, [-0.15, end_m - 0.02, 0.5])
     data, found = settle(robot, runs, start)
     evidence = weigh(data, fit(data, found.hypothesis.without(0)), found, 0)

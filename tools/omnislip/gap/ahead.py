@@ -258,7 +258,8 @@ class Ahead:
 
         def judge(one: tuple[Fit, Evidence]) -> Further:
             quick, evidence = one
-            both = patch_again(data, fit(data, quick.hypothesis, last=quick.jacobian))
+            both = fit(data, quick.hypothesis, last=quick.jacobian)
+            both = patch_again(data, both, len(first.without.hypothesis.effects))
             return self._pair(data, first, first.without, both, evidence)
 
         judged = side_by_side(judge, found[:BEAM])

@@ -40,6 +40,8 @@ from omnislip.gap.rows import Projection, hidden_columns
 Array = npt.NDArray[np.float64]
 
 BLOCK_S = 0.5
+VISIBLE_GAIN, EQUAL = 25.0, 1.0
+"""Gain that stands out from chance; gains that differ by less are the same."""
 BATCH = 64
 STEPS = (1.0, 0.5, 0.2, 0.05)
 FEW_STEPS = (1.0, 0.3)

@@ -7,6 +7,7 @@ import numpy.typing as npt
 from scipy.stats import chi2
 
 from omnislip.gap.inference import (
+    VISIBLE_GAIN,
     Check,
     Data,
     Evidence,
@@ -22,7 +23,7 @@ from omnislip.gap.inference import (
 from omnislip.gap.machine import CURVE, LESS_GRIP, Candidate
 from omnislip.gap.metrics import improvement, replay_all
 from omnislip.gap.noise import RunawayError
-from omnislip.gap.screen import VISIBLE_GAIN, neutral_sizes
+from omnislip.gap.screen import neutral_sizes
 from omnislip.gap.side_by_side import side_by_side
 
 Array = npt.NDArray[np.float64]
@@ -35,8 +36,6 @@ law of its friction over slip: of seven families, the keys of another one fitted
 MOST_EFFECTS = 4
 LEAST_PROMISE = 8.0
 """Promised gain below which no refit could bring a candidate past the threshold of chance."""
-EQUAL = 1.0
-"""Gains that differ by less are the same."""
 SHORTEST_LAG_ROWS = 0.125
 """A command that jumps at a share p of a row is p (1 - p) / 2 rows behind what its mean says."""
 SURE_GAIN = 200.0

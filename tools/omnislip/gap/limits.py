@@ -19,10 +19,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from omnislip.gap.inference import Data, Fit, Hypothesis, absorbed, inflation_of
+from omnislip.gap.inference import VISIBLE_GAIN, Data, Fit, Hypothesis, absorbed, inflation_of
 from omnislip.gap.judge import shortest_lag
 from omnislip.gap.machine import Candidate
-from omnislip.gap.screen import VISIBLE_GAIN, Screened, neutral_sizes, possible_amounts, reach_of
+from omnislip.gap.screen import Screened, neutral_sizes, possible_amounts, reach_of
 
 Array = npt.NDArray[np.float64]
 

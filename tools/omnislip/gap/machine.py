@@ -77,7 +77,11 @@ PHASE = "phase_rad"
 CURVE = "contact_shape"
 """The effect that is another friction curve."""
 PATCH = "slippery_patch"
-"""The effect that has a place in the floor."""
+PATCH_LABELS = ("x_min_m", "x_max_m", "y_min_m", "y_max_m", "scale")
+"""The effect that has a place in the floor, and its edges before its size."""
+CELL_SHARES = (15, 30, 45, 60, 75, 90)
+"""Percentiles of the places in a log, along x and along y, between which lie the cells that the
+screen puts together to such places."""
 POSE_X, LEAST_POSES = 5, 50
 PLACES = 25
 DROPOUT, SPEED_SHARES, STILL_RAD_S = "encoder_dropout", (0.25, 0.5, 0.7, 0.85, 0.95, 1.0), 1.0
@@ -113,13 +117,30 @@ class Candidate:
     """Which of `parameters` are zero-able sizes; the others shape the effect."""
     starts: tuple[dict[int, float], ...] = field(default=({},))
     """Values of the shaping parameters to start a fit from, by index into `parameters`."""
-    edges_m: tuple[float, ...] = ()
-    """Places (world x) at which a patch in the floor may begin or end."""
+    edges_m: tuple[tuple[float, ...], ...] = ()
+    """Places at which the first of `parameters` may lie, the edges of a patch in the floor."""
 
     @property
     def name(self) -> str:
         """Name for people: 'weak_motor (wheel 3)'."""
         return name_on_wheel(self.effect, self.wheel)
+
+    @property
+    def spans(self) -> tuple[tuple[int, int], ...]:
+        """Two by two, which of `parameters` are the edges of a patch in the floor: along x, y."""
+        return tuple((k, k + 1) for k in range(0, len(self.edges_m), 2))
+
+    def along_x(self) -> "Candidate":
+        """Return a patch in the floor that has edges along x only, from its cells."""
+        own = (0, 1, *self.amplitudes)
+        cells = {(start[0], start[1]): start for start in self.starts}
+        return replace(
+            self,
+            parameters=tuple(self.parameters[k] for k in own),
+            amplitudes=(2,),
+            starts=tuple({0: low, 1: high} for low, high in sorted(cells)),
+            edges_m=self.edges_m[:2],
+        )
 
     @property
     def places(self) -> tuple[int, ...]:
@@ -282,20 +303,36 @@ class Machine:
         """Return what depends on the place, with starts from the places that the pose shows."""
         if self.kind != "robot":
             return []
-        x_m = np.concatenate([run.outputs[:, POSE_X] for run in runs])
-        x_m = x_m[~np.isnan(x_m)]
-        return [self.patch(x_m)] if x_m.size >= LEAST_POSES else []
+        xy_m = np.concatenate([run.outputs[:, POSE_X : POSE_X + 2] for run in runs])
+        xy_m = xy_m[~np.isnan(xy_m).any(axis=1)]
+        return [self.patch(xy_m)] if len(xy_m) >= LEAST_POSES else []
 
-    def patch(self, x_m: Array) -> Candidate:
-        """Return a patch in the floor with starts from the places x_m (rows,) of the body."""
-        edges = [x_m.min() - 0.1, *np.percentile(x_m, (15, 30, 45, 60, 75, 90)), x_m.max() + 0.1]
-        spans = [(a, b) for i, a in enumerate(edges) for b in edges[i + 1 :]]
-        labels = ("x_min_m", "x_max_m", "scale")
+    def patch(self, xy_m: Array) -> Candidate:
+        """Return a patch in the floor; its starts are the cells in which the body was.
+
+        `xy_m` (rows, 2) are places of the body.
+        """
         entries = {p["name"]: p for p in self.catalogue[PATCH]["parameters"]}
-        parameters = [self._effect_parameter(PATCH, entries[n], None) for n in labels]
-        starts = tuple({0: float(a), 1: float(b)} for a, b in spans if b - a < edges[-1] - edges[0])
-        places = np.linspace(edges[0], edges[-1], PLACES)
-        return Candidate(PATCH, None, tuple(parameters), (2,), starts, tuple(places.tolist()))
+        parameters = [self._effect_parameter(PATCH, entries[n], None) for n in PATCH_LABELS]
+        edges_m, within, places_m = [], [], []
+        for axis_m in xy_m.T:
+            inner = np.percentile(axis_m, CELL_SHARES)
+            edges = np.unique([axis_m.min() - 0.1, *inner, axis_m.max() + 0.1])
+            edges_m.append(edges)
+            within.append(np.searchsorted(edges, axis_m, side="right") - 1)
+            places_m += [tuple(np.linspace(edges[0], edges[-1], PLACES).tolist())] * 2
+        cells = np.unique(np.column_stack(within), axis=0)
+        starts = [
+            dict(
+                enumerate(
+                    float(own[k + end])
+                    for own, k in zip(edges_m, cell, strict=True)
+                    for end in (0, 1)
+                )
+            )
+            for cell in cells
+        ]
+        return Candidate(PATCH, None, tuple(parameters), (4,), tuple(starts), tuple(places_m))
 
     def extensions(self, effect: str) -> list[Candidate]:
         """Return what refines an effect that is already in the model: not an effect of its own."""

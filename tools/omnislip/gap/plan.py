@@ -495,7 +495,7 @@ def _named(machine: Machine, name: str) -> Candidate:
     effect, _ = effect_and_wheel(name)
     if effect in NOT_DRIVEN:
         raise InputError(f"no manoeuvre is for {effect}: gap find tells it from any motion")
-    candidates = [*machine.candidates(), machine.patch(np.zeros(1))]
+    candidates = [*machine.candidates(), machine.patch(np.zeros((1, 2)))]
     known = {candidate.name: candidate for candidate in candidates}
     if name in machine.catalogue and name not in known:
         wheels = f"'{name} (wheel 1)' to '{name} (wheel {machine.wheels})'"
@@ -509,6 +509,8 @@ def _named(machine: Machine, name: str) -> Candidate:
 def _truth(machine: Machine, name: str, sizes: dict[str, float] | None) -> Hypothesis:
     """The believed robot with one effect, at the sizes found or typical ones."""
     candidate = _named(machine, name)
+    if candidate.edges_m and "y_min_m" not in (sizes or {}):
+        candidate = candidate.along_x()
     base = tuple(machine.base_parameters())
     x = np.array([machine.believed[p.places[0]] for p in base])
     values = _sizes_to_try(machine, candidate)[0]

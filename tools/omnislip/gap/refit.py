@@ -9,7 +9,9 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from omnislip.gap.floor import move_edges
 from omnislip.gap.inference import (
+    VISIBLE_GAIN,
     Data,
     Fit,
     Hypothesis,
@@ -19,9 +21,9 @@ from omnislip.gap.inference import (
     fit_more,
     weigh,
 )
-from omnislip.gap.judge import ALPHA, EQUAL, LEAST_PROMISE, differs_from_none, no_more_than_chance
-from omnislip.gap.machine import PHASE, WHOLE, Machine
-from omnislip.gap.screen import VISIBLE_GAIN, Screened, half_turn, neutral_sizes, reach_of
+from omnislip.gap.judge import ALPHA, LEAST_PROMISE, differs_from_none, no_more_than_chance
+from omnislip.gap.machine import PHASE, WHOLE, Candidate, Machine
+from omnislip.gap.screen import Screened, half_turn, neutral_sizes, reach_of
 from omnislip.gap.settle import SETTLED, settle
 from omnislip.gap.side_by_side import side_by_side
 
@@ -31,15 +33,12 @@ FULL_REFITS = 3
 NEAR, NEAR_TO_FULL = 0.7, 0.5
 """Share of the best quick fit's gain, and of the gain that is asked of a full one, that a quick fit
 must reach to be fitted fully."""
-PATCH_SCALES, PATCH_SHARE = (0.3, 0.5, 0.7, 0.9), 0.2
-"""Grips of a patch to try; share of the best promise from which its edges are looked for: those of
-the screen are coarse, but explain more than a fifth of what the right ones do."""
+PATCH_SHARE = 0.2
+"""Share of the best promise from which the edges of a patch are looked for: those of the screen are
+coarse, but explain more than a fifth of what the right ones do."""
 NEAR_BY_PLACES = 0.5
 """Share of the best gain that a patch must reach by the places of a grid for finer ones, and no
 less than stands out from chance: most logs know no patch."""
-FINE_PLACES, EDGE_HALVINGS, EDGE_STEPS = np.linspace(-1.0, 1.0, 33), 3, np.array([-1.0, 1.0])
-"""An edge moves over a grid, then over a finer one (beside the right effects 10 mm decide), then by
-halves, quarters and eighths of its spacing."""
 THRESHOLDS = {"encoder_dropout": 1}
 """Parameters that only the rows show in which a speed passes them."""
 THRESHOLD_PLACES, THRESHOLD_BEYOND = 57, (0.6, 1.05)
@@ -126,22 +125,7 @@ def _edges_moved(data: Data, current: Fit, start: Hypothesis, wanted: float = np
     candidate = start.effects[-1]
     if candidate.effect in THRESHOLDS:
         return _threshold_moved(data, current, start, THRESHOLDS[candidate.effect], wanted)
-    if not candidate.edges_m:
-        return start
-    spacing_m = candidate.edges_m[1] - candidate.edges_m[0]
-    everywhere = np.array(candidate.edges_m)
-    fine_m = spacing_m * np.diff(FINE_PLACES).max()
-    steps_m = [fine_m * EDGE_STEPS / 2**level for level in range(1, EDGE_HALVINGS + 1)]
-    for edge in (0, 1):
-        start = _edge_moved(data, current, start, edge, everywhere, PATCH_SCALES)
-    if costs_refitted(data, current, [start])[0] > wanted:
-        return start
-    for edge in (0, 1, 0, 1):
-        start = _edge_moved(data, current, start, edge, everywhere, PATCH_SCALES)
-        for near_m in (spacing_m * FINE_PLACES, *steps_m):
-            places_m = start.values_of(-1)[edge] + near_m
-            start = _edge_moved(data, current, start, edge, places_m)
-    return start
+    return move_edges(data, current, start, wanted) if candidate.edges_m else start
 
 
 def _threshold_moved(
@@ -179,46 +163,42 @@ def _threshold_moved(
     return start
 
 
-def _edge_moved(
-    data: Data,
-    current: Fit,
-    start: Hypothesis,
-    edge: int,
-    places_m: Array,
-    scales: Sequence[float] = (),
-) -> Hypothesis:
-    """Move one edge of the patch to the best of the places, with its grip or one of the `scales`.
+def patch_again(data: Data, fitted: Fit, first: int = 0) -> Fit:
+    """Move the edges of a patch again, beside the other effects of the model as they are.
 
-    Where no run shows which of some places it is, to the narrowest patch: it claims the least.
+    If it is effect number `first` or a later one.
     """
-    candidate, now = start.effects[-1], start.values_of(-1)
-    offered = [start]
-    for place_m in places_m:
-        for scale in (*scales, now[2]):
-            sizes = now.copy()
-            sizes[edge] = place_m
-            sizes[2] = scale
-            if sizes[0] < sizes[1]:
-                offered.append(current.hypothesis.with_effect(candidate, sizes))
-    costs = costs_refitted(data, current, offered)
-    widths = np.array([np.ptp(one.values_of(-1)[:2]) for one in offered])
-    equal = np.flatnonzero(costs < costs.min() + EQUAL)
-    return offered[int(equal[np.argmin(widths[equal])])]
-
-
-def patch_again(data: Data, fitted: Fit) -> Fit:
-    """Move the edges of a patch again, beside the other effects of the model as they are."""
     for index, effect in enumerate(fitted.hypothesis.effects):
-        if effect.edges_m:
+        if effect.edges_m and index >= first:
             start = fitted.hypothesis.moved_last(index)
             moved = fit(data, _edges_moved(data, fitted.sharing(index), start))
             fitted = moved if moved.objective < fitted.objective else fitted
     return fitted
 
 
+def _without_needless_edges(data: Data, fitted: Fit, patch: Candidate) -> Fit:
+    """Return the model with a patch that ends along x only, if that explains as much as `patch`."""
+    index = fitted.hypothesis.place_of(patch.name)
+    shared, values = fitted.sharing(index), fitted.hypothesis.values_of(index)
+    kept = [0, 1, *patch.amplitudes]
+    spill = shared.hypothesis.with_effect(patch, values)
+    band = shared.hypothesis.with_effect(patch.along_x(), values[kept])
+    costs = costs_refitted(data, shared, [spill, band])
+    inflation = weigh(data, fitted.refitted_without(data, index), fitted, index).inflation
+    across = len(values) - len(kept)
+    needless = no_more_than_chance(float(costs[1] - costs[0]), inflation, across)
+    return fit(data, band) if needless else fitted
+
+
 def patch_settled(data: Data, fitted: Fit) -> tuple[Data, Fit]:
-    """Move the edges of a patch again, and settle with the noise that is left where they moved."""
+    """Move the edges of a patch again, and settle with the noise that is left where they moved.
+
+    It ends across x only where that explains more than chance.
+    """
     moved = patch_again(data, fitted)
+    for effect in moved.hypothesis.effects:
+        if len(effect.spans) > 1:
+            moved = _without_needless_edges(data, moved, effect)
     if fitted.objective - moved.objective < SETTLED:
         return data, moved
     return settle(data.machine, data.runs, moved.hypothesis, data.noise, last=moved.jacobian)

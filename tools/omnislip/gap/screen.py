@@ -6,13 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from omnislip.gap.inference import Data, Fit, Hypothesis, solve_within
+from omnislip.gap.floor import best_places
+from omnislip.gap.inference import VISIBLE_GAIN, Data, Fit, Hypothesis, solve_within
 from omnislip.gap.machine import PHASE, Candidate, Machine
 from omnislip.gap.side_by_side import side_by_side
 
 Array = npt.NDArray[np.float64]
-
-VISIBLE_GAIN = 25.0
 
 
 @dataclass(frozen=True)
@@ -26,7 +25,12 @@ class Screened:
 
 def screen(data: Data, current: Fit, candidates: Sequence[Candidate]) -> list[Screened]:
     """Rank candidates by the gain that one linear step from the current model promises."""
-    variants = [(c, start) for c in candidates for start in c.starts]
+    variants = []
+    for candidate in candidates:
+        if candidate.edges_m:
+            variants += best_places(data, current, candidate)
+        else:
+            variants += [(candidate, start) for start in candidate.starts]
     points, owners = [], []
     for number, (candidate, start) in enumerate(variants):
         for amplitude in candidate.amplitudes:
@@ -43,7 +47,9 @@ def screen(data: Data, current: Fit, candidates: Sequence[Candidate]) -> list[Sc
     promises = side_by_side(promise, range(len(variants)))
     for (candidate, _), found in zip(variants, promises, strict=True):
         best = ranked.setdefault(candidate.name, found)
-        if found.promise > best.promise:
+        # A patch that ends across x, too, is one of far more.
+        dearer = VISIBLE_GAIN * (len(candidate.spans) - len(best.candidate.spans))
+        if found.promise > best.promise + dearer:
             ranked[candidate.name] = found
     return sorted(ranked.values(), key=lambda s: -s.promise)
 

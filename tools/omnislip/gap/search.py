@@ -25,10 +25,9 @@ from functools import cached_property
 import numpy as np
 
 from omnislip.gap.ahead import FAR_SIZES, Ahead, Further
-from omnislip.gap.inference import Data, Evidence, Fit, Hypothesis, check_unseen, fit, weigh
+from omnislip.gap.inference import EQUAL, Data, Evidence, Fit, Hypothesis, check_unseen, fit, weigh
 from omnislip.gap.judge import (
     DELAY,
-    EQUAL,
     LEAST_PROMISE,
     MOST_EFFECTS,
     Trial,
@@ -125,6 +124,7 @@ def search(
     of the same logs, to go on from if all of that holds.
     """
     candidates = machine.candidates_for(runs)
+    floor = {c.name: c for c in candidates if c.edges_m}
     tried = sum(len(candidate.starts) for candidate in candidates)
     progress("fitting the believed model")
     data, base = settle(machine, runs, start or believed_hypothesis(machine), noise)
@@ -200,7 +200,7 @@ def search(
             data, current = take_one_of_curve(data, current, neighbours, progress)
             curves = curves_in(current)
         taken = {effect.name for effect in current.hypothesis.effects}
-        candidates = [c for c in (*candidates, *chosen) if c.name not in taken]
+        candidates = [floor.get(c.name, c) for c in (*candidates, *chosen) if c.name not in taken]
         vain = vain + 1 if set(current.hypothesis.parameters) == had else 0
     final = current
     if current is not settled:

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from omnislip.gap.inference import Data, Evidence, Fit, costs_refitted
-from omnislip.gap.judge import EQUAL, LAW_ENTERS, left_by_law, left_by_others
+from omnislip.gap.inference import EQUAL, Data, Evidence, Fit, costs_refitted
+from omnislip.gap.judge import LAW_ENTERS, left_by_law, left_by_others
 from omnislip.gap.leftover import Shape, shapes_instead
 from omnislip.gap.machine import CURVE, PHASE, Candidate
-from omnislip.gap.refit import EDGE_STEPS, THRESHOLDS
+from omnislip.gap.refit import THRESHOLDS
 from omnislip.gap.rivals import RIVAL_MARGIN, Compared
 from omnislip.gap.screen import half_turn
 
@@ -89,14 +89,11 @@ def find_interval(data: Data, final: Fit, index: int, values: Array, evidence: E
     holds there, and what nobody drove over leaves an edge open as far as anybody drove.
     """
     half = CONFIDENCE * np.sqrt(np.diag(final.covariance(index, evidence.inflation)))
-    ends = values[:, None] + half[:, None] * EDGE_STEPS
+    ends = values[:, None] + half[:, None] * [-1.0, 1.0]
     effect, limit = final.hypothesis.effects[index], CONFIDENCE**2 * evidence.inflation
     lasts = {}
-    if effect.edges_m:
-        driven_m = effect.edges_m[0], effect.edges_m[-1]
-        lasts = {
-            edge: (min(driven_m[0], x), max(driven_m[1], x)) for edge, x in enumerate(values[:2])
-        }
+    for edge, driven_m in enumerate(effect.edges_m):
+        lasts[edge] = min(driven_m[0], values[edge]), max(driven_m[-1], values[edge])
     if effect.effect in THRESHOLDS:
         number = THRESHOLDS[effect.effect]
         lasts = {number: (values[number] / THRESHOLD_SPAN, values[number] * THRESHOLD_SPAN)}
