@@ -13,7 +13,13 @@ from omnislip.gap.recordings import ELECTRIC_CHANNELS, ROBOT_CHANNELS, make_run
 from omnislip.gap.settle import believed_hypothesis, settle
 from omnislip.gap.split import split_runs
 from omnislip.gap.truth import TruthCase
-from omnislip.gap.verdict import LASTING_SHARES, PREDICTED_SHARE, SENSOR_SHARE, no_chance
+from omnislip.gap.verdict import (
+    CURRENT_SHARE,
+    LASTING_SHARES,
+    PREDICTED_SHARE,
+    SENSOR_SHARE,
+    no_chance,
+)
 from omnislip.log_file import POSE_COLUMNS
 from omnislip.model_file import NOMINAL_ROBOT, read_model
 from omnislip.scenario import read_scenario
@@ -225,6 +231,27 @@ def test_a_supply_that_sways_on_its_own_is_no_noise_of_its_sensor():
     found = shares_of_sensors((ripple,))["supply/voltage_v"]
     assert found.share > SENSOR_SHARE
     assert found.runs_helped > found.runs / 2
+
+
+@pytest.mark.parametrize("own_ripple_a", [0.0, 0.3])
+def test_where_in_its_row_a_command_that_moves_is_is_no_news_of_a_current(own_ripple_a):
+    """As of one read a row early in a loop that swings at 2.5 Hz; a ripple of its own is news."""
+    t_s = np.arange(4000) * 0.005
+    rng = np.random.default_rng(5)
+    command = 0.2 * np.sin(2.0 * np.pi * 2.5 * t_s) + 0.002 * rng.standard_normal(len(t_s))
+    innovation = 0.07 * rng.standard_normal(len(t_s)) - 8.0 * np.gradient(command)
+    innovation += own_ripple_a * np.sin(2.0 * np.pi * 7.0 * t_s)
+    owner, ahead_s = np.arange(len(t_s)) // 1000, OWN_PASTS_S[0]
+
+    def share_of(read_a):
+        past = np.stack([np.interp(t_s - past_s, t_s, read_a) for past_s in ahead_s], axis=1)
+        line = predictable._by_line
+        return predictable._share("current", read_a, owner, past, line, ahead_s[0], 0.0).share
+
+    freed = predictable._without_moves(innovation, command, np.arange(len(t_s)))
+    assert share_of(innovation) > CURRENT_SHARE
+    assert (share_of(freed) > CURRENT_SHARE) == (own_ripple_a > 0)
+    assert own_ripple_a or abs(share_of(freed)) < SENSOR_SHARE
 
 
 @pytest.mark.parametrize(

@@ -53,6 +53,7 @@ from omnislip.gap.answers import foreseen, lead_rows
 from omnislip.gap.machine import LESS_GRIP, Machine
 from omnislip.gap.noise import (
     BODY,
+    CURRENT,
     DISTURBANCES,
     ENCODER,
     SHAFT,
@@ -90,6 +91,8 @@ OWN_PASTS_S = (
 the third nothing of it is left, and what beats goes on."""
 SENSOR_PAST_S, LEAST_READINGS = OWN_PASTS_S[0], 3
 """Own past of a sensor, and how many readings earlier it ends at least."""
+MOVES_ROWS = np.array([-3, -2, -1, 1, 2, 3])
+"""Rows before and after one whose command tells how it moves within that."""
 REST = 0.2
 SEEN = 1e-3
 """Share of the variance that the noise allows below which the filter saw no disturbances: what it
@@ -228,7 +231,8 @@ def _of_sensors(
     """Return the share of each sensor's innovations that their own past tells.
 
     `tracks` are those of the final model with their matrices, `unnamed` of the one without effects.
-    What the stamps of rows may be off by is taken out of the first. `owned`: numbers of the logs.
+    What the stamps of rows may be off by is taken out of the first, and where in its row a command
+    that moves there is out of currents. `owned`: numbers of the logs.
     `within_play`: variance of what nothing tells, by channel, of those that show it.
     """
     found = []
@@ -240,6 +244,10 @@ def _of_sensors(
             if len(rows) < 2:
                 continue
             innovation = white[rows, output]
+            if output >= CURRENT.start and not run.held:
+                innovation = _without_moves(
+                    innovation, run.command[:, output - CURRENT.start], rows
+                )
             unexplained = before.innovation.reshape(run.outputs.shape)[rows, output]
             t_s, interval_s = run.t_s[rows], float(np.median(np.diff(run.t_s[rows])))
             slower = max(1.0, LEAST_READINGS * interval_s / SENSOR_PAST_S[0])
@@ -255,6 +263,16 @@ def _of_sensors(
         least, feigned = REST * there, within_play.get(channel, 0.0)
         found.append(_share(channel, target, owner, past, _by_line, ahead_s, least, feigned))
     return found
+
+
+def _without_moves(innovation: Array, command: Array, rows: npt.NDArray[np.intp]) -> Array:
+    """Innovations (rows,) of a current without what is linear in the command's changes (all rows,).
+
+    A current is read at an instant, and where the command was then, within its row, no log has.
+    """
+    near = np.clip(rows[:, None] + MOVES_ROWS, 0, len(command) - 1)
+    moves = command[near] - command[rows][:, None]
+    return innovation - _by_line(moves, innovation, moves)
 
 
 def _within_play(machine: Machine, values: Array) -> dict[str, float]:
