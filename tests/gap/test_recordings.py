@@ -128,15 +128,15 @@ def test_first_state_is_the_motion_of_the_first_rows(velocity):
     np.testing.assert_allclose(state[11:], first, atol=1e-12)
 
 
-@pytest.mark.parametrize("jerk", [0.0, 8e5])
-def test_first_state_of_a_robot_that_starts_is_that_of_rest(jerk):
-    """By 8,000 rad/s2, or where a coil holds the current back by some more in every row.
+@pytest.mark.parametrize(("acceleration", "jerk"), [(8e3, 0.0), (2e4, 0.0), (0.0, 8e5)])
+def test_first_state_of_a_robot_that_starts_is_that_of_rest(acceleration, jerk):
+    """In rad/s2, by 0.2 m/s in the first row or where a coil holds the current back by some more.
 
     Half a count of rounding in each of four rows turns the begin of a parabola by 1.5 counts a row.
     """
     log = log_of(np.zeros(3))
     passed_s = log.t_s - log.t_s[0]
-    turned = jerk * passed_s**3 / 6.0 if jerk else 4000.0 * passed_s**2
+    turned = acceleration * passed_s**2 / 2.0 + jerk * passed_s**3 / 6.0
     counts = {
         f"wheel/{wheel}/encoder_counts": np.rint(sign * turned * 2000 / (2 * np.pi))
         for wheel, sign in zip(range(1, 5), (-1.0, -0.5, 0.5, 1.0), strict=True)

@@ -158,9 +158,11 @@ def make_run(machine: Machine, log: Log, begin: int = 0, end: int | None = None)
         return _odometry_run(machine, log, rows, t_s)
     if machine.kind == "robot":
         command, outputs = _robot_signals(machine, log, rows)
-        rim_m_s = _rim_speeds(machine, t_s, outputs, 1)
+        rim_m_s = _begun_rim_speeds(machine, t_s, outputs)
         at_rest = begin == 0 and bool(np.max(np.abs(rim_m_s)) < SLOW_M_S)
-        state, seen = _first_state(machine, t_s, outputs, rim_m_s if at_rest else None)
+        if not at_rest:
+            rim_m_s = _rim_speeds(machine, t_s, outputs, FIRST_ROWS)
+        state, seen = _first_state(machine, t_s, outputs, rim_m_s)
         settle_s = _core.SETTLE_S if at_rest or seen else UNSEEN_SETTLE_S
         t_s, command, outputs, jumped = parted_at_jumps(t_s, command, outputs)
         channels: tuple[str, ...] = robot_channels(machine)
@@ -342,22 +344,14 @@ def _unwrap_sampled(angle_rad: Array) -> Array:
 
 
 def _first_state(
-    machine: Machine, t_s: Array, outputs: Array, most_m_s: Array | None
+    machine: Machine, t_s: Array, outputs: Array, rim_m_s: Array
 ) -> tuple[Array, bool]:
     """Return the first state (14,), and whether the camera has seen its velocity.
 
-    Wheel speeds from the first rows, where the robot stood by a parabola through them and no faster
-    than in the first, `most_m_s` (4,): a motor gains ten turns a second in a row. Body velocity by
-    J+ of eq. (3), pose from its first row. Where camera or gyro see that the wheels slide, they
-    tell the velocity: a parabola through the poses of GLANCE_S, its slope turned into the robot's
-    axes.
+    From the speeds of the wheels' rims, `rim_m_s` (4,). Body velocity by J+ of eq. (3), pose from
+    its first row. Where camera or gyro see that the wheels slide, they tell the velocity: a
+    parabola through the poses of GLANCE_S, its slope turned into the robot's axes.
     """
-    rim_m_s = _rim_speeds(machine, t_s, outputs, FIRST_ROWS)
-    if most_m_s is not None and len(t_s) > FIRST_ROWS:
-        rows = slice(0, FIRST_ROWS + 1)
-        turned = np.polynomial.polynomial.polyfit(t_s[rows] - t_s[0], outputs[rows, :4], 2)
-        begun_m_s = turned[1] * rim_m_per_rad(machine)
-        rim_m_s = np.clip(begun_m_s, np.minimum(most_m_s, 0.0), np.maximum(most_m_s, 0.0))
     velocity = np.linalg.pinv(wheel_jacobian(machine)) @ rim_m_s
     first = [column[~np.isnan(column)][:1] for column in outputs[:, 5:8].T]
     pose = [float(value[0]) if value.size else 0.0 for value in first]
@@ -376,6 +370,21 @@ def _first_state(
         velocity = np.where(np.isnan(seen), velocity, seen)
     speed = rim_m_s / rim_m_per_rad(machine)
     return np.concatenate([speed, outputs[0, :4], velocity, pose]), by_camera
+
+
+def _begun_rim_speeds(machine: Machine, t_s: Array, outputs: Array) -> Array:
+    """Speeds (4,) of the wheels' rims in m/s when the first row begins, by a parabola.
+
+    No faster than in the first, nor the other way round. (A motor gains ten turns a second in a
+    row.)
+    """
+    mean_m_s = _rim_speeds(machine, t_s, outputs, 1)
+    if len(t_s) <= FIRST_ROWS:
+        return mean_m_s
+    rows = slice(0, FIRST_ROWS + 1)
+    turned = np.polynomial.polynomial.polyfit(t_s[rows] - t_s[0], outputs[rows, :4], 2)
+    begun_m_s = turned[1] * rim_m_per_rad(machine)
+    return np.clip(begun_m_s, np.minimum(mean_m_s, 0.0), np.maximum(mean_m_s, 0.0))
 
 
 def _rim_speeds(machine: Machine, t_s: Array, outputs: Array, rows: int) -> Array:
