@@ -130,10 +130,7 @@ def test_first_state_is_the_motion_of_the_first_rows(velocity):
 
 @pytest.mark.parametrize(("acceleration", "jerk"), [(8e3, 0.0), (2e4, 0.0), (0.0, 8e5)])
 def test_first_state_of_a_robot_that_starts_is_that_of_rest(acceleration, jerk):
-    """In rad/s2, by 0.2 m/s in the first row or where a coil holds the current back by some more.
-
-    Half a count of rounding in each of four rows turns the begin of a parabola by 1.5 counts a row.
-    """
+    """In rad/s2, by 0.2 m/s in the first row or where a coil holds the current back more."""
     log = log_of(np.zeros(3))
     passed_s = log.t_s - log.t_s[0]
     turned = acceleration * passed_s**2 / 2.0 + jerk * passed_s**3 / 6.0
@@ -146,6 +143,20 @@ def test_first_state_of_a_robot_that_starts_is_that_of_rest(acceleration, jerk):
     state = initial_state(run)
     np.testing.assert_allclose(state[:4], 0.0, atol=1.5 * 2 * np.pi / 2000 / 5e-3)
     np.testing.assert_allclose(state[8:10], 0.0, atol=0.01)
+
+
+def test_first_state_of_a_robot_whose_wheels_spin_up_is_that_of_rest():
+    """A spinning wheel gains less and less, so that a parabola through three rows begins at 0.2."""
+    log = log_of(np.zeros(3))
+    passed_s = log.t_s - log.t_s[0]
+    ways = 2.6 * (passed_s - 0.011 * (1.0 - np.exp(-passed_s / 0.011))) * 12.0 / 0.05
+    counts = {
+        f"wheel/{wheel}/encoder_counts": np.rint(sign * ways * 2000 / (2 * np.pi))
+        for wheel, sign in zip(range(1, 5), (-1.0, -1.0, 1.0, 1.0), strict=True)
+    }
+    run = make_run(ROBOT, replace(log, columns=log.columns | counts))
+    assert run.at_rest
+    np.testing.assert_allclose(initial_state(run)[:4] * 0.05 / 12.0, 0.0, atol=0.04)
 
 
 @pytest.mark.parametrize("velocity", [(0.3, 0.0, 0.0), (0.0, -2.0, 0.0)])
