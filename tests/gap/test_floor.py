@@ -4,12 +4,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from axis_bench import silent
+from omnislip.gap import find
+from omnislip.gap.events import Impact
 from omnislip.gap.inference import fit
 from omnislip.gap.judge import LEAST_PROMISE
+from omnislip.gap.leftover import responses
 from omnislip.gap.machine import Machine
 from omnislip.gap.refit import patch_settled, refit_each
+from omnislip.gap.rivals import compare_all
 from omnislip.gap.screen import screen
+from omnislip.gap.search import Outcome
+from omnislip.gap.selected import select_effects
 from omnislip.gap.settle import believed_hypothesis, settle
+from omnislip.gap.terms import dictionary
 from omnislip.gap.truth import TruthCase
 from omnislip.gap.truth_effects import HiddenEffect
 from omnislip.model_file import Effect
@@ -86,3 +94,28 @@ def test_a_patch_that_the_file_has_is_not_offered_once_more(tmp_path):
     [screened] = screen(data, current, known.floor_candidates(runs))
     assert screened.promise < LEAST_PROMISE
     assert fit(data, current.hypothesis).objective == pytest.approx(current.objective, abs=0.1)
+
+
+def test_a_push_that_a_wider_patch_does_without_is_none(tmp_path, monkeypatch):
+    """What nobody drove over leaves an edge open, and beyond it a patch does what a push would."""
+    robot, runs, candidates = on_a_floor(BAND, tmp_path)
+    start = believed_hypothesis(robot)
+    start = start.with_effect(candidates["slippery_patch"].along_x(), [-0.15, 0.4, 0.5])
+    data, final = settle(robot, runs, start)
+    free = responses(data, final, dictionary(robot))
+    selected = select_effects(data, final, free, compare_all(data, final, {}, silent))
+    outcome = Outcome(final, final, (final,), selected, (), (), data, {})
+    low_m, high_m, _ = selected[0].interval
+    scale = final.hypothesis.values_of(0)[2]
+    assert outcome.widest.values_of(0).tolist() == [low_m[0], high_m[1], scale]
+
+    push, feigned = (Impact("run_01", at_s, np.ones(3), np.zeros(3)) for at_s in (1.0, 2.5))
+    found = {low_m[0]: [push]}
+
+    def pushes_in(_machine, _logs, _runs, model, _noise):
+        return found.get(model.values_of(0)[0], [push, feigned])
+
+    monkeypatch.setattr(find, "_pushes_in", pushes_in)
+    assert find._pushes_by(robot, [], runs, outcome) == [push]
+    bare = replace(outcome, selected=())
+    assert find._pushes_by(robot, [], runs, bare) == [push, feigned]

@@ -203,8 +203,7 @@ def _search(recorded: _Recorded, progress: Progress) -> _Searched:
             runs, impacts = _pushes_beside(machine, logs, cuts, first, noise)
             continue
         progress("looking for impacts with the final model")
-        final, tuned = outcome.final.hypothesis, outcome.data.noise
-        confirmed = _pushes_in(machine, logs, runs, final, tuned)
+        confirmed = _pushes_by(machine, logs, runs, outcome)
         cut_out = [new for new in confirmed if any(new.near(old) for old in impacts)]
         settled = len(cut_out) == len(confirmed)
         impacts = confirmed if left else cut_out  # what was fitted as well is not to be told
@@ -384,6 +383,21 @@ def _pushes_in(
                 continue
         told.append(one)
     return told
+
+
+def _pushes_by(
+    machine: Machine, logs: Sequence[Log], runs: Sequence[Run], outcome: Outcome
+) -> list[Impact]:
+    """Return the impacts beside what was found, a patch in the floor as wide as it may be, too.
+
+    Where its edge may be as well, a patch does what a push would: one that leaves it, say.
+    """
+    noise = outcome.data.noise
+    impacts = _pushes_in(machine, logs, runs, outcome.final.hypothesis, noise)
+    if impacts and any(one.candidate.edges_m for one in outcome.selected):
+        wider = _pushes_in(machine, logs, runs, outcome.widest, noise)
+        impacts = [one for one in impacts if any(one.near(other) for other in wider)]
+    return impacts
 
 
 def _by_lost_rows(

@@ -94,6 +94,17 @@ class Outcome:
         candidates = self.data.machine.candidates_for(self.data.runs)
         return detection_limits(self.data, self.base, screen(self.data, self.base, candidates))
 
+    @property
+    def widest(self) -> Hypothesis:
+        """The final model with a patch in the floor as wide as the logs leave open."""
+        model = self.final.hypothesis
+        x = model.x.copy()
+        for one in self.selected:
+            first = model.own(model.place_of(one.candidate.name)).start
+            for low, high in one.candidate.spans:
+                x[first + low], x[first + high] = one.interval[low, 0], one.interval[high, 1]
+        return replace(model, x=x)
+
     def without_effects(self) -> "Outcome":
         """Return the outcome with the base fit as the final one."""
         return replace(self, final=self.base, ladder=self.ladder[:1], selected=())
