@@ -91,7 +91,7 @@ def test_behind_a_missing_row_nobody_knows_under_what_an_early_reading_was(befor
     short = Log(log.name, log.t_s[kept], {n: v[kept] for n, v in log.columns.items()})
     machine = Machine(MODEL, electric=True, holds_commands=True, reads_before=before)
     blank = np.isnan(make_run(machine, short).outputs[:, len(ROBOT_CHANNELS) :]).all(axis=1)
-    assert np.flatnonzero(blank).tolist() == ([0, lost] if before else []) + [ROWS - 2]
+    assert np.flatnonzero(blank).tolist() == [0, *([lost] if before else []), ROWS - 2]
 
 
 def test_an_inductance_that_makes_currents_late_is_no_early_reading():

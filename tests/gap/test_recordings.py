@@ -96,14 +96,17 @@ def test_missing_and_blank_columns_are_not_sampled():
     np.testing.assert_array_equal(np.flatnonzero(seen[:, 5]), np.arange(0, 21, 4))
 
 
-def test_what_flows_in_the_last_row_of_a_log_goes_with_no_command():
-    """A duty is a mean up to the next row, and that of the last row nobody can check."""
+def test_what_flows_in_the_first_and_last_row_of_a_log_goes_with_no_command():
+    """A duty is a mean up to the next row, and that of the last row nobody can check.
+
+    What was read before it acts in the first row goes with one before the log.
+    """
     log = log_of(np.array([1.0, 0.0, 0.0]))
     flowing = {"wheel/1/current_a": np.arange(21.0), "supply/voltage_v": 24.0 - np.arange(21.0)}
     log = replace(log, columns=log.columns | flowing)
     robot = machine_for(read_model(NOMINAL_ROBOT), [log])
     seen = ~np.isnan(make_run(robot, log).outputs)
-    assert seen[:-1, 8:10].all() and not seen[-1, 8:10].any() and seen[-1, :4].all()
+    assert seen[1:-1, 8:10].all() and not seen[[0, -1], 8:10].any() and seen[[0, -1], :4].all()
     assert not np.isnan(make_run(robot, log, 0, 11).outputs[-1, 8:10]).any()
 
 

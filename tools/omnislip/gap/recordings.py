@@ -162,7 +162,7 @@ def make_run(machine: Machine, log: Log, begin: int = 0, end: int | None = None)
         at_rest = begin == 0 and bool(np.max(np.abs(rim_m_s)) < SLOW_M_S)
         if not at_rest:
             rim_m_s = _rim_speeds(machine, t_s, outputs, FIRST_ROWS)
-        state, seen = _first_state(machine, t_s, outputs, rim_m_s)
+        state, seen = _first_state(machine, t_s, outputs, rim_m_s, at_rest)
         settle_s = _core.SETTLE_S if at_rest or seen else UNSEEN_SETTLE_S
         t_s, command, outputs, jumped = parted_at_jumps(t_s, command, outputs)
         channels: tuple[str, ...] = robot_channels(machine)
@@ -302,11 +302,12 @@ def _robot_signals(machine: Machine, log: Log, rows: slice) -> tuple[Array, Arra
     others = [columns.get(name, blank) for name in ROBOT_CHANNELS[4:]]
     others[3] = _unwrap_sampled(others[3])
     # What flows goes with a command that has to be known: that of the last row has no row to be the
-    # mean of, and what was read before one went with that of the row before, if it is there.
+    # mean of, and what was read before one went with that of the row before, if it is there. Of a
+    # first row that is never sure: tens of ampere of a robot that starts.
     commanded = np.arange(len(log.t_s))[rows] < len(log.t_s) - 1
+    commanded[0] = False
     if machine.reads_before:
         commanded[1:] &= ~log.rows_missing(1)[rows][: len(commanded) - 1]
-        commanded[0] = False
     electric = [
         np.where(commanded, columns[name], np.nan) if _varies(columns.get(name)) else blank
         for name in (ELECTRIC_CHANNELS if machine.electric else ())
@@ -344,13 +345,14 @@ def _unwrap_sampled(angle_rad: Array) -> Array:
 
 
 def _first_state(
-    machine: Machine, t_s: Array, outputs: Array, rim_m_s: Array
+    machine: Machine, t_s: Array, outputs: Array, rim_m_s: Array, at_rest: bool
 ) -> tuple[Array, bool]:
     """Return the first state (14,), and whether the camera has seen its velocity.
 
     From the speeds of the wheels' rims, `rim_m_s` (4,). Body velocity by J+ of eq. (3), pose from
     its first row. Where camera or gyro see that the wheels slide, they tell the velocity: a
-    parabola through the poses of GLANCE_S, its slope turned into the robot's axes.
+    parabola through the poses of GLANCE_S, its slope turned into the robot's axes. Not of a robot
+    `at_rest`: where it starts hard and stops meanwhile no parabola begins with nothing.
     """
     velocity = np.linalg.pinv(wheel_jacobian(machine)) @ rim_m_s
     first = [column[~np.isnan(column)][:1] for column in outputs[:, 5:8].T]
@@ -366,7 +368,7 @@ def _first_state(
     if not np.isnan(outputs[0, 4]):
         seen[2] = outputs[0, 4]
     lever = np.array([1.0, 1.0, float(machine.model.values["robot.wheel_distance_m"])])
-    if np.max(lever * np.abs(np.nan_to_num(seen - velocity))) > SLIDING_M_S:
+    if not at_rest and np.max(lever * np.abs(np.nan_to_num(seen - velocity))) > SLIDING_M_S:
         velocity = np.where(np.isnan(seen), velocity, seen)
     speed = rim_m_s / rim_m_per_rad(machine)
     return np.concatenate([speed, outputs[0, :4], velocity, pose]), by_camera
