@@ -16,14 +16,7 @@ from itertools import combinations, product
 import numpy as np
 import numpy.typing as npt
 
-from omnislip.gap.inference import (
-    EQUAL,
-    Data,
-    Fit,
-    Hypothesis,
-    absorbed,
-    costs_refitted,
-)
+from omnislip.gap.inference import EQUAL, Data, Fit, Hypothesis, absorbed, costs_refitted
 from omnislip.gap.machine import Candidate
 
 Array = npt.NDArray[np.float64]
@@ -35,6 +28,7 @@ FINE_PLACES, EDGE_HALVINGS, EDGE_STEPS = np.linspace(-1.0, 1.0, 33), 3, np.array
 """Edges move over a grid, then each over a finer one (beside the right effects 10 mm decide), then
 by halves, quarters and eighths of its spacing."""
 ROUNDS, PROMISING = 2, 8
+"""How often all edges move, at most, and how many of the places on the grid are replayed."""
 
 
 def best_places(
@@ -168,15 +162,11 @@ def _changes(data: Data, current: Fit, patch: Candidate, sizes: Array) -> tuple[
 
 
 def _promises(
-    data: Data,
-    none: Fit,
-    changes: Array,
-    unions: Array,
-    bounds: tuple[float | Array, float | Array],
+    data: Data, none: Fit, changes: Array, unions: Array, bounds: Array
 ) -> tuple[Array, Array]:
     """Return what unions (n, parts) of parts promise (n,), and by how much of their `changes`.
 
-    `changes` (m, parts) of the residuals of the model without a patch, amounts between `bounds`.
+    `changes` (m, parts) of the residuals of the model without a patch; `bounds` (2,) of amounts.
     """
     left, weights = absorbed(none, changes)
     slope = unions @ (changes.T @ none.residual - weights.T @ none.slope(data.believed))

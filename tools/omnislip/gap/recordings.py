@@ -162,7 +162,7 @@ def make_run(machine: Machine, log: Log, begin: int = 0, end: int | None = None)
         at_rest = begin == 0 and bool(np.max(np.abs(rim_m_s)) < SLOW_M_S)
         if not at_rest:
             rim_m_s = _rim_speeds(machine, t_s, outputs, FIRST_ROWS)
-        state, seen = _first_state(machine, t_s, outputs, rim_m_s, at_rest)
+        state, seen = _first_state(machine, t_s, outputs, rim_m_s)
         settle_s = _core.SETTLE_S if at_rest or seen else UNSEEN_SETTLE_S
         t_s, command, outputs, jumped = parted_at_jumps(t_s, command, outputs)
         channels: tuple[str, ...] = robot_channels(machine)
@@ -345,14 +345,13 @@ def _unwrap_sampled(angle_rad: Array) -> Array:
 
 
 def _first_state(
-    machine: Machine, t_s: Array, outputs: Array, rim_m_s: Array, at_rest: bool
+    machine: Machine, t_s: Array, outputs: Array, rim_m_s: Array
 ) -> tuple[Array, bool]:
     """Return the first state (14,), and whether the camera has seen its velocity.
 
     From the speeds of the wheels' rims, `rim_m_s` (4,). Body velocity by J+ of eq. (3), pose from
     its first row. Where camera or gyro see that the wheels slide, they tell the velocity: a
-    parabola through the poses of GLANCE_S, its slope turned into the robot's axes. Not of a robot
-    `at_rest`: where it starts hard and stops meanwhile no parabola begins with nothing.
+    parabola through the poses of GLANCE_S, its slope turned into the robot's axes.
     """
     velocity = np.linalg.pinv(wheel_jacobian(machine)) @ rim_m_s
     first = [column[~np.isnan(column)][:1] for column in outputs[:, 5:8].T]
@@ -368,7 +367,7 @@ def _first_state(
     if not np.isnan(outputs[0, 4]):
         seen[2] = outputs[0, 4]
     lever = np.array([1.0, 1.0, float(machine.model.values["robot.wheel_distance_m"])])
-    if not at_rest and np.max(lever * np.abs(np.nan_to_num(seen - velocity))) > SLIDING_M_S:
+    if np.max(lever * np.abs(np.nan_to_num(seen - velocity))) > SLIDING_M_S:
         velocity = np.where(np.isnan(seen), velocity, seen)
     speed = rim_m_s / rim_m_per_rad(machine)
     return np.concatenate([speed, outputs[0, :4], velocity, pose]), by_camera
@@ -378,9 +377,9 @@ def _begun_rim_speeds(machine: Machine, t_s: Array, outputs: Array) -> Array:
     """Speeds (4,) of the wheels' rims in m/s when the first row begins, by a cubic of their angles.
 
     None where rounding to counts makes as much; no faster than in the first, nor the other way
-    round. (A motor gains ten turns a second in a
-    row, and less in the next: where wheels spin up, 1 - exp(-t / 11 ms) of 2.6 m/s is 0.5 m/s on
-    the mean of the first row, and begins at 0.02 by a cubic, 0.2 by a parabola.)
+    round. (A motor gains ten turns a second in a row, and less in the next: where wheels spin up,
+    1 - exp(-t / 11 ms) of 2.6 m/s is 0.5 m/s in the mean of the first row, and begins at 0.04 by a
+    cubic, at 0.25 by a parabola.)
     """
     mean_m_s = _rim_speeds(machine, t_s, outputs, 1)
     if len(t_s) <= FIRST_ROWS:
