@@ -14,6 +14,20 @@ from scipy.stats import chi2
 from truth_bench import robot_runs
 
 
+def settled_on(law, hidden, seed, folder):
+    """Data and base fit of an effect on the believed law, or of none on another; candidates."""
+    case = TruthCase(
+        seed=seed,
+        effects=(hidden.as_dict(),) if law == "atan" else (),
+        friction_curve=law,
+        excitation="rich",
+        runs=4,
+        run_duration_s=5.0,
+    )
+    robot, runs, candidates = robot_runs(case, folder)
+    return *settle(robot, runs, believed_hypothesis(robot)), candidates
+
+
 @pytest.mark.parametrize("fraction", [0.0, 0.3])
 def test_what_any_friction_law_leaves_is_no_falling_grip(tmp_path, fraction):
     """Keys and blend take most of a brush of bristles; a grip that falls by a third they do not."""
@@ -42,16 +56,7 @@ def test_a_small_fall_of_grip_is_told_where_no_law_takes_its_place(tmp_path, see
     """6 % of the grip: less than what friction off its law may leave. Or the law is another."""
     sizes = [0.06, 0.3]
     hidden = HiddenEffect("grip_falloff", dict(zip(("fraction", "speed_m_s"), sizes, strict=True)))
-    case = TruthCase(
-        seed=seed,
-        effects=(hidden.as_dict(),) if law == "atan" else (),
-        friction_curve=law,
-        excitation="rich",
-        runs=4,
-        run_duration_s=5.0,
-    )
-    robot, runs, candidates = robot_runs(case, tmp_path)
-    data, base = settle(robot, runs, believed_hypothesis(robot))
+    data, base, candidates = settled_on(law, hidden, seed, tmp_path)
     falling = fit(data, base.hypothesis.with_effect(candidates["grip_falloff"], sizes))
     assert within_law(data, base, falling, 0) == (law == "brush")
 
@@ -59,17 +64,8 @@ def test_a_small_fall_of_grip_is_told_where_no_law_takes_its_place(tmp_path, see
 @pytest.mark.parametrize("law", ["atan", "rational", "brush"])
 def test_a_slope_is_told_where_no_law_bends_better(tmp_path, law):
     """A tenth softer: less than friction off its law may leave. Or another law is like it."""
-    hidden = HiddenEffect("slip_stiffness_error", {"scale": 0.89}).as_dict()
-    case = TruthCase(
-        seed=516,
-        effects=(hidden,) if law == "atan" else (),
-        friction_curve=law,
-        excitation="rich",
-        runs=4,
-        run_duration_s=5.0,
-    )
-    robot, runs, candidates = robot_runs(case, tmp_path)
-    data, base = settle(robot, runs, believed_hypothesis(robot))
+    hidden = HiddenEffect("slip_stiffness_error", {"scale": 0.89})
+    data, base, candidates = settled_on(law, hidden, 516, tmp_path)
     softer = fit(data, base.hypothesis.with_effect(candidates["slip_stiffness_error"], [0.89]))
     gain = base.objective - softer.objective
     bent = softer.objective - judge._any_law(data, base).objective

@@ -133,7 +133,7 @@ class Candidate:
     def along_x(self) -> "Candidate":
         """Return a patch in the floor that has edges along x only, from its cells."""
         own = (0, 1, *self.amplitudes)
-        cells = {(start[0], start[1]): start for start in self.starts}
+        cells = {(start[0], start[1]) for start in self.starts}
         return replace(
             self,
             parameters=tuple(self.parameters[k] for k in own),
@@ -314,25 +314,16 @@ class Machine:
         """
         entries = {p["name"]: p for p in self.catalogue[PATCH]["parameters"]}
         parameters = [self._effect_parameter(PATCH, entries[n], None) for n in PATCH_LABELS]
-        edges_m, within, places_m = [], [], []
+        ends_m, places_m = [], []
         for axis_m in xy_m.T:
             inner = np.percentile(axis_m, CELL_SHARES)
             edges = np.unique([axis_m.min() - 0.1, *inner, axis_m.max() + 0.1])
-            edges_m.append(edges)
-            within.append(np.searchsorted(edges, axis_m, side="right") - 1)
+            above = np.searchsorted(edges, axis_m, side="right")
+            ends_m += [edges[above - 1], edges[above]]
             places_m += [tuple(np.linspace(edges[0], edges[-1], PLACES).tolist())] * 2
-        cells = np.unique(np.column_stack(within), axis=0)
-        starts = [
-            dict(
-                enumerate(
-                    float(own[k + end])
-                    for own, k in zip(edges_m, cell, strict=True)
-                    for end in (0, 1)
-                )
-            )
-            for cell in cells
-        ]
-        return Candidate(PATCH, None, tuple(parameters), (4,), tuple(starts), tuple(places_m))
+        cells = np.unique(np.column_stack(ends_m), axis=0)
+        starts = tuple(dict(enumerate(cell)) for cell in cells.tolist())
+        return Candidate(PATCH, None, tuple(parameters), (4,), starts, tuple(places_m))
 
     def extensions(self, effect: str) -> list[Candidate]:
         """Return what refines an effect that is already in the model: not an effect of its own."""
