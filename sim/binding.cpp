@@ -261,7 +261,8 @@ class Engine {
     }
 
     Recording recording(const Array1 &time_s, const Array2 &command, const Array2 &output,
-                        const Array1 &initial_state, double settle_s) const {
+                        const Array1 &initial_state, double settle_s,
+                        const std::optional<Array1> &begun_variance) const {
         const auto rows = time_s.shape(0);
         require(rows >= 2 && command.shape(0) == rows && output.shape(0) == rows,
                 "time_s, command and output must have the same number of rows, at least 2");
@@ -280,6 +281,10 @@ class Engine {
         require(settle_s >= 0.0, "settle_s must not be negative");
         r.initial_state = to_vector(initial_state);
         r.settle_s = settle_s;
+        if (begun_variance)
+            r.begun_variance = to_vector(*begun_variance);
+        require(!begun_variance || r.begun_variance.size() == r.initial_state.size() + pushes(),
+                "begun_variance must have one value for each state and push");
         return r;
     }
 
@@ -749,6 +754,9 @@ void bind_replay(nb::module_ &m) {
         .def_prop_ro("rows", [](const Recording &r) { return r.rows; })
         .def_ro("settle_s", &Recording::settle_s,
                 "Until so long after the first row the filter finds the initial state.")
+        .def_prop_ro(
+            "begun_variance", [](const Recording &r) { return copy_to_numpy(r.begun_variance); },
+            "As `Engine.recording` was given it; empty without.")
         .def("rising", &rising, "rise"_a,
              "The same with commands that rise (rows, motors) evenly within each row.")
         .def("commanded", &commanded, "command"_a, "The same with other commands (rows, motors).")
@@ -787,7 +795,10 @@ void bind_replay(nb::module_ &m) {
         .def_prop_ro("instruction_set",
                      [](const Engine &e) { return e.kernel().instruction_set(); })
         .def("recording", &Engine::recording, "time_s"_a, "command"_a, "output"_a,
-             "initial_state"_a, "settle_s"_a = kSettleTime_s)
+             "initial_state"_a, "settle_s"_a = kSettleTime_s, "begun_variance"_a = nb::none(),
+             "Of a robot that stood until its first command began, behind which nothing lags yet: "
+             "`begun_variance` of the initial state (states,), then what those of the first "
+             "disturbances have more (pushes,).")
         .def("derivatives", &Engine::derivatives_of, "values"_a, "states"_a, "commands"_a)
         .def("track", &Engine::tracks_of, "recordings"_a, "values"_a, "process"_a, "output"_a,
              "initial"_a, "timing_s2"_a = 0.0, "unresolved"_a = 0.0, "unresolved_current"_a = 0.0,

@@ -109,7 +109,9 @@ Track track(const Kernel &kernel, const Recording &recording, const double *valu
     }
     Vector process = Vector::Zero(n), initial = Vector::Zero(n);
     std::copy(noise.process.begin(), noise.process.end(), process.data());
-    std::copy(noise.initial.begin(), noise.initial.end(), initial.data());
+    const double *begun = recording.begun_variance.data(); /* of states, then disturbances */
+    const double *known = recording.begun_variance.empty() ? noise.initial.data() : begun;
+    std::copy_n(known, of_plant, initial.data());
     std::vector<int> moved(static_cast<std::size_t>(n)); /* places in x */
     std::iota(moved.begin(), moved.end(), 0);
     std::copy(result.memory.begin(), result.memory.end(), moved.begin() + of_plant);
@@ -125,6 +127,8 @@ Track track(const Kernel &kernel, const Recording &recording, const double *valu
     Matrix p = Matrix::Zero(all, all);
     p.diagonal().head(n) = initial;
     p.bottomRightCorner(q, q) = lasting;
+    if (!recording.begun_variance.empty())
+        p.bottomRightCorner(q, q).diagonal() += Eigen::Map<const Vector>(begun + of_plant, q);
     Matrix free = p; /* covariance of a replay that runs since its last restart */
     double restart_s = recording.time_s[0] + recording.settle_s;
     Matrix moves(n, n), shown(m, n), push(n, q);

@@ -57,6 +57,10 @@ struct Recording {
     std::vector<double> rise{}; /* of the command within the row, around its mean; empty: held */
     /* Whether electric sensors are read before the command of their row begins, not after. */
     bool reads_before = false;
+    /* Of a robot that stood until the first command began: variances of the initial state, then
+     * what those of the disturbances have more [filter state without memory]. Empty: as the noise
+     * says, behind a first command that has lasted for long. */
+    std::vector<double> begun_variance{};
     /* What warmed the motors before the first row: lengths of rows, and squares of the currents
      * that cold windings would have let through [row][motor]. */
     std::vector<double> past_s{}, past_current_a2{};

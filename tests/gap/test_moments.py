@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from omnislip.gap.machine import Machine
+from omnislip.gap.machine import Machine, no_load_speed_rad_s, stall_acceleration_rad_s2
 from omnislip.gap.moments import (
     LEAST_LOGS,
     LEAST_MOMENTS,
@@ -15,14 +15,7 @@ from omnislip.gap.moments import (
     _own_jump_rad_s,
     find_moments,
 )
-from omnislip.gap.noise import (
-    SHAFT,
-    first_guess,
-    no_load_speed_rad_s,
-    run_free,
-    stall_acceleration_rad_s2,
-    track_all,
-)
+from omnislip.gap.noise import SHAFT, first_guess, run_free, track_all
 from omnislip.gap.recordings import make_run
 from omnislip.gap.settle import believed_hypothesis, settle
 from omnislip.gap.truth import TruthCase

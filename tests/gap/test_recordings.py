@@ -8,7 +8,7 @@ from axis_bench import Bench, make_log, make_machine
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from omnislip.gap.machine import Machine
-from omnislip.gap.noise import Noise, track_all, tune_noise
+from omnislip.gap.noise import Noise, track_all, track_recordings, tune_noise
 from omnislip.gap.recordings import (
     ROBOT_CHANNELS,
     machine_for,
@@ -19,7 +19,7 @@ from omnislip.gap.recordings import (
 )
 from omnislip.gap.truth import HiddenEffect, TruthCase
 from omnislip.log_file import POSE_COLUMNS, Log
-from omnislip.model_file import NOMINAL_ROBOT, read_model
+from omnislip.model_file import NOMINAL_ROBOT, Effect, read_model
 from truth_bench import logs_of
 
 ROBOT = Machine(read_model(NOMINAL_ROBOT))
@@ -142,7 +142,8 @@ def test_first_state_of_a_robot_that_starts_is_that_of_rest(acceleration, jerk):
         for wheel, sign in zip(range(1, 5), (-1.0, -0.5, 0.5, 1.0), strict=True)
     }
     run = make_run(ROBOT, replace(log, columns=log.columns | counts))
-    assert run.at_rest
+    assert run.at_rest == (jerk > 0.0)  # then it has gone a count in the first row
+    assert run.settled_s == pytest.approx(run.t_s[0] + 0.25)
     state = initial_state(run)
     np.testing.assert_allclose(state[:4], 0.0, atol=1.5 * 2 * np.pi / 2000 / 5e-3)
     np.testing.assert_allclose(state[8:10], 0.0, atol=0.01)
@@ -158,8 +159,49 @@ def test_first_state_of_a_robot_whose_wheels_spin_up_is_that_of_rest():
         for wheel, sign in zip(range(1, 5), (-1.0, -1.0, 1.0, 1.0), strict=True)
     }
     run = make_run(ROBOT, replace(log, columns=log.columns | counts))
-    assert run.at_rest
+    assert not run.at_rest
+    assert run.settled_s == pytest.approx(run.t_s[0] + 0.25)
     np.testing.assert_allclose(initial_state(run)[:4] * 0.05 / 12.0, 0.0, atol=0.04)
+
+
+def started(machine, duty):
+    """Log of a robot that stood until the first row, then is driven along x."""
+    t_s, command = 5e-3 * np.arange(60), np.tile(duty * np.array([-1.0, -1.0, 1.0, 1.0]), (60, 1))
+    still, silent = np.zeros(14), np.zeros((60, 8))
+    recording = machine.recording(t_s, command, silent, still, 0.25, np.zeros(21))
+    certain = Noise(still, np.ones(8), still, 0.0, 0.0, np.zeros(8))
+    tracks = track_recordings(machine, [recording], machine.believed, certain, 1e-3)
+    believed = machine.believed[None]
+    shown = -machine.engine.replays([recording], tracks, believed, 1e-3, np.inf)[0][0]
+    columns = {f"wheel/{w + 1}/duty": command[:, w] for w in range(4)}
+    for w in range(4):
+        columns[f"wheel/{w + 1}/encoder_counts"] = np.floor(shown[:, w] / RAD_PER_COUNT)
+    columns["gyro/z_rad_s"] = shown[:, 4]
+    shown[np.arange(60) % 4 != 0, 5:] = np.nan
+    columns |= {name: shown[:, 5 + k] for k, name in enumerate(POSE_COLUMNS)}
+    return Log("run", t_s, columns)
+
+
+@pytest.mark.parametrize("duty", [0.2, 0.5, 1.0])
+def test_a_start_that_lags_behind_its_command_is_what_the_filter_expects(duty):
+    """Coils need 5 ms. If the command were said to have lasted, or the robot to be anywhere."""
+    coils = [Effect("armature_inductance", {"inductance_h": 3e-3})]
+    machine = HOLDING.of(replace(ROBOT.model, effects=coils))
+    run = make_run(machine, started(machine, duty))
+    output = np.array([RAD_PER_COUNT**2 / 12] * 4 + [1e-6] * 4)
+    initial = np.array([25.0] * 4 + [RAD_PER_COUNT**2] * 4 + [0.02, 0.02, 0.05] + [1e-4] * 3)
+    lasting = np.diag([1.0] * 4 + [1e-4] * 3)
+    noise = Noise(np.zeros(14), output, initial, 0.0, 0.0, np.zeros(8), 0.0, lasting, 40.0)
+    lasted = machine.recording(run.t_s, run.command, run.outputs, np.zeros(14))
+    squares = []
+    for recording in (run.recording, lasted):
+        [track] = track_recordings(machine, [recording], machine.believed, noise, 5e-3)
+        innovation = np.nan_to_num(track.innovation.reshape(60, 8))[:20]
+        white = np.einsum("kij,kj->ki", track.whitening.reshape(60, 8, 8)[:20], innovation)
+        squares.append(float(np.sum(white**2)))
+    sampled = np.count_nonzero(~np.isnan(run.outputs[:20]))
+    assert squares[0] < sampled
+    assert squares[1] > 20.0 * sampled
 
 
 @pytest.mark.parametrize("velocity", [(0.3, 0.0, 0.0), (0.0, -2.0, 0.0)])

@@ -63,6 +63,29 @@ def test_filter_and_restarted_replays_of_the_true_model_find_nothing(name, run):
     assert np.abs(track[0].innovation).max() < 1e-8
 
 
+@pytest.mark.parametrize("name", ["driver_lag", "armature_inductance"])
+def test_behind_a_command_that_begins_with_the_log_nothing_lags_yet(name, run):
+    """The robot stood in the rows that are left out; else that command is said to have lasted."""
+    time, duty = run
+    shown = simulate([model(name)], time, duty)[0]
+    engine = _core.Engine("robot")
+    log = (time[10:], duty[10:], shown[10:], np.zeros(14))
+    off = []
+    for begun_variance in (np.full(21, 1e-2), None):
+        recording = engine.recording(*log, begun_variance=begun_variance)
+        track = engine.track([recording], model(name), **NOISE)
+        off.append(np.abs(engine.innovations([recording], track, model(name)[None])[0]).max())
+    assert off[0] < 1e-8
+    assert off[1] > 1e-2
+
+
+def test_variances_of_a_begin_have_one_for_each_state_and_disturbance(run):
+    time, duty = run
+    rest = (time, duty, np.zeros((len(time), 8)), np.zeros(14))
+    with pytest.raises(ValueError, match="one value for each state and push"):
+        _core.Engine("robot").recording(*rest, begun_variance=np.ones(14))
+
+
 def test_filter_with_neutral_effects_is_the_filter_without(run):
     time, duty = run
     shown = simulate([model("driver_lag")], time, duty)[0]

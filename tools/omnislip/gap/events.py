@@ -30,17 +30,9 @@ import numpy.typing as npt
 from scipy.optimize import least_squares
 
 from omnislip import _core
-from omnislip.gap.machine import LESS_GRIP, POSE_X, Machine
+from omnislip.gap.machine import LESS_GRIP, POSE_X, Machine, stall_current_a
 from omnislip.gap.metrics import WINDOW_S
-from omnislip.gap.noise import (
-    STAMP_S,
-    Noise,
-    run_free,
-    stall_current_a,
-    stamp_slope,
-    track_all,
-    track_recordings,
-)
+from omnislip.gap.noise import STAMP_S, Noise, run_free, stamp_slope, track_all, track_recordings
 from omnislip.gap.recordings import Run, rim_m_per_rad
 from omnislip.gap.side_by_side import side_by_side
 from omnislip.gap.within_rows import joined

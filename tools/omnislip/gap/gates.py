@@ -17,14 +17,12 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import median_filter
 
-from omnislip.gap.machine import Machine
+from omnislip.gap.machine import Machine, stall_acceleration_rad_s2, stall_current_a
 from omnislip.gap.noise import (
     STEP_S,
     YAW,
     RunawayError,
     first_guess,
-    stall_acceleration_rad_s2,
-    stall_current_a,
     track_all,
     track_recordings,
     tune_noise,

@@ -215,9 +215,10 @@ class Machine:
         outputs: Array,
         state: Array,
         settle_s: float = _core.SETTLE_S,
+        begun_variance: Array | None = None,
     ) -> _core.Recording:
         """Return what `_core.Engine.recording` does, its sensors read when this machine does."""
-        made = self.engine.recording(t_s, command, outputs, state, settle_s)
+        made = self.engine.recording(t_s, command, outputs, state, settle_s, begun_variance)
         return made.reading_before() if self.reads_before else made
 
     def place(self, effect: str, parameter: str, wheel: int | None) -> tuple[int, ...]:
@@ -562,6 +563,33 @@ class Machine:
         if effect == "quadratic_wheel_drag":
             return viscous_size**2 / (0.1 * gain)  # as strong as the viscous at 0.1 gain
         return sizes.get(parameter)
+
+
+def count_rad(machine: Machine) -> float:
+    """Return the angle of a shaft between two counts."""
+    return 2.0 * np.pi / float(machine.model.values["encoder.counts_per_rev"])
+
+
+def stall_current_a(machine: Machine) -> float:
+    """Return the current of a motor at rest at full duty."""
+    return machine.model.values["motor.supply_v"] / machine.model.values["motor.resistance_ohm"]
+
+
+def no_load_speed_rad_s(machine: Machine) -> float:
+    """Return how fast a shaft turns at full duty that nothing brakes."""
+    return (
+        machine.model.values["motor.supply_v"] / machine.model.values["motor.torque_constant_nm_a"]
+    )
+
+
+def stall_acceleration_rad_s2(machine: Machine) -> float:
+    """Return how fast a motor at rest that drives nothing starts at full duty."""
+    values = machine.model.values
+    return (
+        stall_current_a(machine)
+        * values["motor.torque_constant_nm_a"]
+        / values["motor.inertia_kg_m2"]
+    )
 
 
 def _infinite(parameters: Sequence[dict]) -> dict[int, dict]:

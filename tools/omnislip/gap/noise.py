@@ -19,7 +19,12 @@ import numpy.typing as npt
 
 from omnislip import _core
 from omnislip.errors import InputError
-from omnislip.gap.machine import Machine
+from omnislip.gap.machine import (
+    Machine,
+    count_rad,
+    stall_acceleration_rad_s2,
+    stall_current_a,
+)
 from omnislip.gap.recordings import Run, wheel_jacobian
 
 Array = npt.NDArray[np.float64]
@@ -470,33 +475,6 @@ def contact_forces(machine: Machine) -> Array:
     body = wheel_jacobian(machine) / np.array([mass_kg, mass_kg, inertia_kg_m2])
     each = np.hstack([np.eye(4) * -values["robot.wheel_radius_m"] / shaft_kg_m, body])
     return each.T @ each
-
-
-def count_rad(machine: Machine) -> float:
-    """Return the angle of a shaft between two counts."""
-    return 2.0 * np.pi / float(machine.model.values["encoder.counts_per_rev"])
-
-
-def stall_current_a(machine: Machine) -> float:
-    """Return the current of a motor at rest at full duty."""
-    return machine.model.values["motor.supply_v"] / machine.model.values["motor.resistance_ohm"]
-
-
-def no_load_speed_rad_s(machine: Machine) -> float:
-    """Return how fast a shaft turns at full duty that nothing brakes."""
-    return (
-        machine.model.values["motor.supply_v"] / machine.model.values["motor.torque_constant_nm_a"]
-    )
-
-
-def stall_acceleration_rad_s2(machine: Machine) -> float:
-    """Return how fast a motor at rest that drives nothing starts at full duty."""
-    values = machine.model.values
-    return (
-        stall_current_a(machine)
-        * values["motor.torque_constant_nm_a"]
-        / values["motor.inertia_kg_m2"]
-    )
 
 
 def _free(variances: Sequence[float]) -> Guess:

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from omnislip import _core
 from omnislip.errors import InputError
-from omnislip.gap.machine import Machine
+from omnislip.gap.machine import Machine, count_rad, stall_acceleration_rad_s2
 from omnislip.gap.within_rows import joined, parted_at_jumps, rises
 from omnislip.log_file import AXIS_OPTIONAL, POSE_COLUMNS, Log
 from omnislip.model_file import Model
@@ -34,6 +34,9 @@ LOST = 1.5
 """Rows after which the next one comes late."""
 SLOW_M_S = 0.1
 """Speed of a wheel's rim below which a robot is as good as at rest."""
+STILL_M_S = 0.02
+"""Speed of a rim in the first row below which nothing drives a robot yet: who starts harder has
+gone, within rows, where currents that lag behind the commands took it, and no log tells those."""
 SLIDING_M_S = 0.2
 """By how much wheels that slide misjudge the speed of a robot; beyond it the filter's linear
 path would begin wrong, below it finds the velocity by itself."""
@@ -70,7 +73,7 @@ class Run:
     jumped: npt.NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, np.intp))
     """Rows that begin where commands jump within a row of the log."""
     at_rest: bool = False
-    """Whether a robot is known to stand in the first row."""
+    """Whether a robot is known to stand in the first row, and not to start there."""
     held: bool = True
     """Whether commands are held within rows; else they rise there as their means tell."""
     parted: "Run | None" = None
@@ -153,17 +156,22 @@ def make_run(machine: Machine, log: Log, begin: int = 0, end: int | None = None)
     """Turn rows begin..end of a log into a run."""
     rows = slice(begin, end)
     t_s = np.ascontiguousarray(log.t_s[rows])
-    jumped, at_rest, settle_s = np.zeros(0, np.intp), False, _core.SETTLE_S
+    jumped, settle_s = np.zeros(0, np.intp), _core.SETTLE_S
+    at_rest, begun_variance = False, None
     if machine.kind == "odometry":
         return _odometry_run(machine, log, rows, t_s)
     if machine.kind == "robot":
         command, outputs = _robot_signals(machine, log, rows)
         rim_m_s = _begun_rim_speeds(machine, t_s, outputs)
-        at_rest = begin == 0 and bool(np.max(np.abs(rim_m_s)) < SLOW_M_S)
-        if not at_rest:
+        begins = begin == 0 and bool(np.max(np.abs(rim_m_s)) < SLOW_M_S)
+        if begins:
+            mean_m_s = _rim_speeds(machine, t_s, outputs, 1)
+            at_rest = bool(np.max(np.abs(mean_m_s)) < STILL_M_S)
+            begun_variance = _begun_variance(machine, command, rim_m_s, mean_m_s)
+        else:
             rim_m_s = _rim_speeds(machine, t_s, outputs, FIRST_ROWS)
         state, seen = _first_state(machine, t_s, outputs, rim_m_s)
-        settle_s = _core.SETTLE_S if at_rest or seen else UNSEEN_SETTLE_S
+        settle_s = _core.SETTLE_S if begins or seen else UNSEEN_SETTLE_S
         t_s, command, outputs, jumped = parted_at_jumps(t_s, command, outputs)
         channels: tuple[str, ...] = robot_channels(machine)
         counts_per_rad = machine.model.values["encoder.counts_per_rev"] / (2 * np.pi)
@@ -176,7 +184,7 @@ def make_run(machine: Machine, log: Log, begin: int = 0, end: int | None = None)
         speed = (outputs[span, 0] - outputs[0, 0]) / (t_s[span] - t_s[0])
         state = np.array([speed, outputs[0, 0]])
         channels, scale = (position,), np.ones(1)
-    recording = machine.recording(t_s, command, outputs, state, settle_s)
+    recording = machine.recording(t_s, command, outputs, state, settle_s, begun_variance)
     if machine.kind == "robot" and begin > 0:
         recording = recording.warmed(*_past_currents(machine, log, begin))
     # The engine reads a blank command as "drive off"; for everybody else that is no command.
@@ -387,11 +395,32 @@ def _begun_rim_speeds(machine: Machine, t_s: Array, outputs: Array) -> Array:
     rows = slice(0, FIRST_ROWS + 1)
     slope = np.linalg.inv(np.vander(t_s[rows] - t_s[0], increasing=True))[1]
     begun_rad_s = slope @ outputs[rows, :4]
-    rounded_rad_s = 0.5 * np.sum(np.abs(slope)) * 2.0 * np.pi
-    rounded_rad_s /= float(machine.model.values["encoder.counts_per_rev"])
+    rounded_rad_s = 0.5 * np.sum(np.abs(slope)) * count_rad(machine)
     begun_rad_s[np.abs(begun_rad_s) <= rounded_rad_s] = 0.0
     begun_m_s = begun_rad_s * rim_m_per_rad(machine)
     return np.clip(begun_m_s, np.minimum(mean_m_s, 0.0), np.maximum(mean_m_s, 0.0))
+
+
+def _begun_variance(machine: Machine, command: Array, rim_m_s: Array, mean_m_s: Array) -> Array:
+    """Variances (21,) of the first state of a robot that begins, and of what disturbs its shafts.
+
+    A log may miss some milliseconds of a start: then shafts turn as fast as between the begin of
+    their first row, `rim_m_s` (4,), and in its mean, `mean_m_s` (4,); body and currents that lag
+    behind the command are somewhere between rest and where they go.
+    """
+    values = machine.model.values
+    speed_rad_s = (mean_m_s - rim_m_s) / rim_m_per_rad(machine)
+    lacking = 0.5 * command[0] * stall_acceleration_rad_s2(machine)
+    return np.concatenate(
+        [
+            25.0 + (0.5 * speed_rad_s) ** 2,
+            np.full(4, count_rad(machine) ** 2),
+            [1e-3, 1e-3, 1e-3 / float(values["robot.wheel_distance_m"]) ** 2],
+            np.full(3, 1e-4),
+            lacking**2,
+            np.zeros(3),
+        ]
+    )
 
 
 def _rim_speeds(machine: Machine, t_s: Array, outputs: Array, rows: int) -> Array:

@@ -14,8 +14,7 @@ import numpy.typing as npt
 from scipy.signal import lfilter
 
 from omnislip.gap.answers import CHANCE_S
-from omnislip.gap.machine import Machine
-from omnislip.gap.noise import no_load_speed_rad_s
+from omnislip.gap.machine import Machine, no_load_speed_rad_s
 
 Array = npt.NDArray[np.float64]
 Of = Callable[[Array, Array], Array]
