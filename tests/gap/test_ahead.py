@@ -154,6 +154,24 @@ def test_what_no_chance_gives_is_worth_looking_further(monkeypatch, gain, promis
     assert [trial.accepted for trial in ahead.trials] == ([True, False] if much else [])
 
 
+@pytest.mark.parametrize(("beyond_chance", "looks"), [(5.0, False), (60.0, True)])
+def test_seconds_are_tried_beside_what_gains_by_its_own_noise(monkeypatch, beyond_chance, looks):
+    """What gained 80 beyond chance by the noise of the model without it."""
+    candidate = SimpleNamespace(name="slippery_patch", effect="slippery_patch")
+    evidence = SimpleNamespace(gain=80.0, inflation=1.0, beyond_chance=80.0)
+    refused = Trial(1, candidate, None, evidence, 1.0, 1.0, True, "too little", False)
+    own = SimpleNamespace(gain=80.0, inflation=1.0, beyond_chance=beyond_chance)
+    first = Further(None, None, None, replace(refused, evidence=own))
+    seen = []
+    monkeypatch.setattr(Ahead, "_by_its_noise", lambda *_: first)
+    monkeypatch.setattr(Ahead, "_larger", lambda *_: None)
+    monkeypatch.setattr(Ahead, "_pairs", lambda _, one: seen.append(one) or [])
+    current = SimpleNamespace(hypothesis=SimpleNamespace(effects=[]))
+    fitted = SimpleNamespace(objective=0.0, hypothesis=None, jacobian=None)
+    assert Ahead(None, current, [], 1, 100, silent).best([(refused, fitted)], []) is None
+    assert seen == ([first] if looks else [])
+
+
 def test_answers_within_a_row_are_no_delay_of_some_rows(tmp_path):
     """A likelihood that takes the commands as given prefers those of the row before."""
     case = TruthCase(seed=86, closed_loop=True, excitation="ordinary", runs=2, noise_level=3.0)

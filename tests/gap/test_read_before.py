@@ -30,13 +30,27 @@ def shown(machine, duty):
     return -engine.replays([run], tracks, machine.believed[None], 5e-4, 1e9)[0][0]
 
 
-def log_of(seed, before=False, effect=None):
-    """A log of duties that a controller at its rate sets anew in every row, with noise."""
-    rng = np.random.default_rng(seed)
+def swaying(rng):
+    """Duties that a controller at its rate sets anew in every row."""
     duty = np.cumsum(0.03 * rng.standard_normal((ROWS, 4)), axis=0)
     duty -= np.linspace(0.0, 1.0, ROWS)[:, None] * duty[-1]
-    duty = np.clip(duty, -0.5, 0.5)
-    model = replace(MODEL, effects=[*MODEL.effects, effect] if effect else MODEL.effects)
+    return np.clip(duty, -0.5, 0.5)
+
+
+def waving(rng):
+    t_s = ROW_S * np.arange(ROWS)[:, None]
+    return 0.4 * np.sin(2.0 * np.pi * rng.uniform(1.0, 3.0, 4) * t_s + rng.uniform(0.0, 6.0, 4))
+
+
+def violent(rng):
+    return np.repeat(rng.uniform(-0.8, 0.8, (ROWS // 50, 4)), 50, axis=0)
+
+
+def log_of(seed, before=False, effect=None, driven=swaying, model=MODEL):
+    """A log of duties as a controller sets them, with noise."""
+    rng = np.random.default_rng(seed)
+    duty = driven(rng)
+    model = replace(model, effects=[*model.effects, effect] if effect else model.effects)
     outputs = shown(Machine(model, electric=True, holds_commands=True, reads_before=before), duty)
     outputs[:, :4] *= MODEL.values["encoder.counts_per_rev"] / (2.0 * np.pi)
     outputs[:, :4] = np.round(outputs[:, :4])
@@ -97,6 +111,19 @@ def test_behind_a_missing_row_nobody_knows_under_what_an_early_reading_was(befor
 def test_an_inductance_that_makes_currents_late_is_no_early_reading():
     coil = Effect("armature_inductance", {"inductance_h": 4e-3})
     assert reading_machine(MACHINE, logs_of(effect=coil)) is MACHINE
+
+
+@pytest.mark.parametrize("before", [False, True])
+def test_where_shafts_race_most_logs_tell_when_sensors_are_read(before):
+    """Light shafts, driven violently: the mean of two rows is no speed at the row between them."""
+    model = replace(MODEL, values=MODEL.values | {"motor.inertia_kg_m2": 2.5e-6})
+    machine = Machine(model, electric=True)
+    calm, jerked = (
+        [log_of(seed, before, driven=driven, model=model) for seed in range(2)]
+        for driven in (waving, violent)
+    )
+    assert reading_machine(machine, [*calm, jerked[0]]).reads_before is before
+    assert reading_machine(machine, [calm[0], *jerked]) is machine
 
 
 def test_robots_without_these_sensors_read_as_they_did():

@@ -92,7 +92,7 @@ class Ahead:
         """Return the best model with one of `refused`, or with one of them and a second effect.
 
         What promised or gained much, but from few blocks, is judged alone: among pairs of such
-        chance has too much choice.
+        chance has too much choice. So is what gains little by the noise that fits it.
         Pairs with a weaker first effect are tried only where none with a stronger one passes, sizes
         far from none by noise that fits each only where no pair does and much is there.
         """
@@ -118,7 +118,8 @@ class Ahead:
         passed = [one for one in followed if one.trial.accepted]
         if len(self._current.hypothesis.effects) + 2 <= MOST_EFFECTS:
             for first in judged[: len(clear)]:
-                passed = passed or (self._pairs(first) if first else [])
+                if not passed and first and first.trial.evidence.beyond_chance > AHEAD_GAIN:
+                    passed = self._pairs(first)
         if not passed and max(hopes.values(), default=0.0) > SURE_GAIN:
             far = self._far_by_noise()
             self.trials += [one.trial for one in far]
