@@ -11,7 +11,7 @@ from omnislip.gap.inference import fit
 from omnislip.gap.judge import LEAST_PROMISE
 from omnislip.gap.leftover import responses
 from omnislip.gap.machine import Machine
-from omnislip.gap.refit import patch_settled, refit_each
+from omnislip.gap.refit import refit_each, settle_placed
 from omnislip.gap.rivals import compare_all
 from omnislip.gap.screen import screen
 from omnislip.gap.search import Outcome
@@ -41,7 +41,7 @@ def test_a_patch_has_the_edges_that_it_has_and_no_others(tmp_path, patch):
     data, current = settle(robot, runs, believed_hypothesis(robot))
     [fitted] = refit_each(data, current, screen(data, current, [candidates["slippery_patch"]]))
     data, found = settle(robot, runs, fitted.hypothesis, data.noise)
-    _, found = patch_settled(data, found)
+    _, found = settle_placed(data, found)
     [effect] = found.hypothesis.effects
     values = dict(
         zip((p.label for p in effect.parameters), found.hypothesis.values_of(0), strict=True)
@@ -58,7 +58,7 @@ def test_edges_across_that_explain_nothing_are_taken_away(tmp_path):
     ends_m = [spill.edges_m[2][0], spill.edges_m[2][-1]]
     start = believed_hypothesis(robot).with_effect(spill, [-0.15, 0.4, *ends_m, 0.5])
     data, wide = settle(robot, runs, start)
-    _, found = patch_settled(data, wide)
+    _, found = settle_placed(data, wide)
     assert [p.label for p in found.hypothesis.effects[0].parameters] == [
         "x_min_m",
         "x_max_m",

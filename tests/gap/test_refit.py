@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from omnislip.gap.inference import fit, linearise, weigh
 from omnislip.gap.judge import SURE_GAIN
-from omnislip.gap.refit import extend_effects, patch_settled, refit_each, whole_numbers
+from omnislip.gap.refit import extend_effects, refit_each, settle_placed, whole_numbers
 from omnislip.gap.screen import screen
 from omnislip.gap.settle import believed_hypothesis, settle
 from omnislip.gap.truth import TruthCase
@@ -29,6 +29,20 @@ def test_a_threshold_between_two_starts_is_found(tmp_path, share):
     assert deviation < 0.05 * fraction  # few rows are so fast
 
 
+def test_a_threshold_that_was_drawn_to_a_wrong_place_is_found_again(tmp_path):
+    """A fit from a quarter further up moves it within the rows that it divides."""
+    lost = {"fraction": 0.03, "speed_rad_s": 0.4 * 320.0}
+    hidden = HiddenEffect("encoder_dropout", lost, 2).as_dict()
+    case = TruthCase(seed=5, effects=(hidden,), runs=3, run_duration_s=4.0)
+    robot, runs, _ = robot_runs(case, tmp_path)
+    [dropout] = [c for c in robot.candidates_for(runs) if c.name == "encoder_dropout (wheel 2)"]
+    start = believed_hypothesis(robot).with_effect(dropout, [0.03, 1.25 * lost["speed_rad_s"]])
+    data, stuck = settle(robot, runs, start)
+    assert stuck.hypothesis.values_of(0)[1] > 1.1 * lost["speed_rad_s"]
+    _, found = settle_placed(data, stuck)
+    assert found.hypothesis.values_of(0)[1] == pytest.approx(lost["speed_rad_s"], rel=0.003)
+
+
 def test_edges_of_a_patch_that_were_drawn_to_a_wrong_place_are_found_again(tmp_path):
     """Beside the other effects as they are; some centimetres away there is nothing to descend."""
     floor = {"x_min_m": -0.1, "x_max_m": 0.4, "scale": 0.5}
@@ -40,7 +54,7 @@ def test_edges_of_a_patch_that_were_drawn_to_a_wrong_place_are_found_again(tmp_p
     )
     data, stuck = settle(robot, runs, start)
     assert abs(stuck.hypothesis.values_of(0)[0] - floor["x_min_m"]) > 0.015
-    data, found = patch_settled(data, stuck)
+    data, found = settle_placed(data, stuck)
     edges_m = found.hypothesis.values_of(0)[:2]
     assert edges_m == pytest.approx([floor["x_min_m"], floor["x_max_m"]], abs=0.002)
 

@@ -21,7 +21,7 @@ from omnislip.gap.judge import (
 from omnislip.gap.machine import Candidate
 from omnislip.gap.noise import RunawayError, some_runs, track_all, tuned_likelihood
 from omnislip.gap.recordings import Run
-from omnislip.gap.refit import patch_again, refit_quickly
+from omnislip.gap.refit import place_again, refit_quickly
 from omnislip.gap.screen import Screened, neutral_sizes, screen
 from omnislip.gap.settle import FEW_TUNINGS, Progress, settle
 from omnislip.gap.side_by_side import side_by_side
@@ -260,7 +260,7 @@ class Ahead:
         def judge(one: tuple[Fit, Evidence]) -> Further:
             quick, evidence = one
             both = fit(data, quick.hypothesis, last=quick.jacobian)
-            both = patch_again(data, both, len(first.without.hypothesis.effects))
+            both = place_again(data, both, len(first.without.hypothesis.effects))
             return self._pair(data, first, first.without, both, evidence)
 
         judged = side_by_side(judge, found[:BEAM])

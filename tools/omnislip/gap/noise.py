@@ -25,7 +25,7 @@ from omnislip.gap.machine import (
     stall_acceleration_rad_s2,
     stall_current_a,
 )
-from omnislip.gap.recordings import Run, wheel_jacobian
+from omnislip.gap.recordings import PLACE_VARIANCE, SHAFT_VARIANCE, Run, wheel_jacobian
 
 Array = npt.NDArray[np.float64]
 
@@ -447,7 +447,10 @@ def _robot_noise(machine: Machine, logs: Array) -> Noise:
     if electric:
         output[SUPPLY], output[CURRENT] = electric
     initial = np.array(
-        [25.0] * 4 + [count_rad(machine) ** 2] * 4 + [0.02, 0.02, 0.05, 1e-4, 1e-4, 1e-4]
+        [SHAFT_VARIANCE] * 4
+        + [count_rad(machine) ** 2] * 4
+        + [0.02, 0.02, 0.05]
+        + [PLACE_VARIANCE] * 3
     )
     unresolved = float(share) * stall_acceleration_rad_s2(machine) ** 2
     unresolved_current = float(share) * stall_current_a(machine) ** 2

@@ -42,6 +42,10 @@ SLIDING_M_S = 0.2
 path would begin wrong, below it finds the velocity by itself."""
 FIRST_ROWS = 3
 """Rows by which the first speeds of the shafts are told."""
+SHAFT_VARIANCE, PLACE_VARIANCE = 25.0, 1e-4
+"""Of the first state: (5 rad/s)^2, and (1 cm)^2 or (0.6 deg)^2."""
+STARTING_VARIANCE = 1e-3
+"""(m/s)^2 of a robot that begins: a floor gives it 0.03 m/s in a row of 5 ms."""
 GLANCE_S, LEAST_GLANCES = 0.2, 5
 """For which the camera is looked at for the first velocity, and poses it must show meanwhile."""
 UNSEEN_SETTLE_S = 1.0
@@ -408,15 +412,15 @@ def _begun_variance(machine: Machine, command: Array, rim_m_s: Array, mean_m_s: 
     their first row, `rim_m_s` (4,), and in its mean, `mean_m_s` (4,); body and currents that lag
     behind the command are somewhere between rest and where they go.
     """
-    values = machine.model.values
+    lever_m = float(machine.model.values["robot.wheel_distance_m"])
     speed_rad_s = (mean_m_s - rim_m_s) / rim_m_per_rad(machine)
     lacking = 0.5 * command[0] * stall_acceleration_rad_s2(machine)
     return np.concatenate(
         [
-            25.0 + (0.5 * speed_rad_s) ** 2,
+            SHAFT_VARIANCE + (0.5 * speed_rad_s) ** 2,
             np.full(4, count_rad(machine) ** 2),
-            [1e-3, 1e-3, 1e-3 / float(values["robot.wheel_distance_m"]) ** 2],
-            np.full(3, 1e-4),
+            STARTING_VARIANCE / np.array([1.0, 1.0, lever_m**2]),
+            np.full(3, PLACE_VARIANCE),
             lacking**2,
             np.zeros(3),
         ]

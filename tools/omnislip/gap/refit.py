@@ -163,13 +163,13 @@ def _threshold_moved(
     return start
 
 
-def patch_again(data: Data, fitted: Fit, first: int = 0) -> Fit:
-    """Move the edges of a patch again, beside the other effects of the model as they are.
+def place_again(data: Data, fitted: Fit, first: int = 0) -> Fit:
+    """Move the edges of a patch or a threshold again, beside the other effects as they are.
 
-    If it is effect number `first` or a later one.
+    If it is of effect number `first` or a later one.
     """
     for index, effect in enumerate(fitted.hypothesis.effects):
-        if effect.edges_m and index >= first:
+        if (effect.edges_m or effect.effect in THRESHOLDS) and index >= first:
             start = fitted.hypothesis.moved_last(index)
             moved = fit(data, _edges_moved(data, fitted.sharing(index), start))
             fitted = moved if moved.objective < fitted.objective else fitted
@@ -190,12 +190,12 @@ def _without_needless_edges(data: Data, fitted: Fit, patch: Candidate) -> Fit:
     return fit(data, band) if needless else fitted
 
 
-def patch_settled(data: Data, fitted: Fit) -> tuple[Data, Fit]:
-    """Move the edges of a patch again, and settle with the noise that is left where they moved.
+def settle_placed(data: Data, fitted: Fit) -> tuple[Data, Fit]:
+    """Move edges and thresholds again, and settle with the noise that is left where they moved.
 
-    It ends across x only where that explains more than chance.
+    A patch ends across x only where that explains more than chance.
     """
-    moved = patch_again(data, fitted)
+    moved = place_again(data, fitted)
     for effect in moved.hypothesis.effects:
         if len(effect.spans) > 1:
             moved = _without_needless_edges(data, moved, effect)

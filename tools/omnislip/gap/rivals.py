@@ -15,7 +15,7 @@ from omnislip.gap.judge import (
 )
 from omnislip.gap.machine import CURVE, Candidate
 from omnislip.gap.noise import RunawayError
-from omnislip.gap.refit import extend_effects, patch_settled, refit_each, whole_numbers
+from omnislip.gap.refit import extend_effects, refit_each, settle_placed, whole_numbers
 from omnislip.gap.screen import screen
 from omnislip.gap.settle import Progress, likelihood_judges, log_posterior, settle
 from omnislip.gap.side_by_side import side_by_side
@@ -245,7 +245,7 @@ def take_likeliest(
         _, data, final, effect, name = max(likelier, key=lambda one: one[0])
         settled.add(effect.name)
         _may_stand_for(neighbours, name, effect)
-        data, final = patch_settled(data, final)
+        data, final = settle_placed(data, final)
         final = whole_numbers(data, drop_needless(data, final, tried))
         compared = compare_all(data, final, neighbours, progress)
     return data, final, compared

@@ -41,7 +41,7 @@ from omnislip.gap.limits import detection_limits
 from omnislip.gap.machine import Candidate, Machine
 from omnislip.gap.noise import Noise, RunawayError
 from omnislip.gap.recordings import Run
-from omnislip.gap.refit import extend_effects, patch_settled, refit_each, whole_numbers
+from omnislip.gap.refit import extend_effects, refit_each, settle_placed, whole_numbers
 from omnislip.gap.rivals import (
     NEARLY_AT_FIRST,
     RIVAL_MARGIN,
@@ -202,7 +202,7 @@ def search(
         if other:
             raise MistakenError(len(current.hypothesis.effects), other)
         settled = current
-        data, current = patch_settled(data, extend_effects(machine, data, current))
+        data, current = settle_placed(data, extend_effects(machine, data, current))
         current = drop_needless(data, current, tried)
         chosen = current.hypothesis.effects
         asked_again = tried if _more_refused(found) else 0
@@ -217,7 +217,7 @@ def search(
     if current is not settled:
         progress("fitting the final model")
         data, final = settle(machine, runs, current.hypothesis, data.noise, last=current.jacobian)
-        data, final = patch_settled(data, extend_effects(machine, data, final))
+        data, final = settle_placed(data, extend_effects(machine, data, final))
         final = drop_needless(data, final, tried)
     final = whole_numbers(data, final)
     known = compared if final is settled else None
