@@ -318,9 +318,9 @@ def weighed(machine, explained):
     return evidence_of(machine, np.where(explained[BLOCKS], column, 0.0), residual)
 
 
-def evidence_of(machine, column, residual):
-    """Evidence of an effect that takes a column out of the residuals."""
-    effect = candidate(machine, "coulomb_friction")
+def evidence_of(machine, column, residual, edges_m=()):
+    """Evidence of an effect that takes a column out of the residuals; with edges, of a patch."""
+    effect = replace(candidate(machine, "coulomb_friction"), edges_m=edges_m)
     alone = Hypothesis((), (effect,), np.array([effect.parameters[0].scale]))
     with_effect = Fit(alone, float(residual @ residual), residual, column[:, None])
     left = residual + column
@@ -330,17 +330,26 @@ def evidence_of(machine, column, residual):
     return weigh(SimpleNamespace(blocks=BLOCKS), without, with_effect, 0)
 
 
-@pytest.mark.parametrize(("share", "told"), [(1.0 / 40.0, True), (0.5, True), (0.9, False)])
-def test_a_gain_that_one_block_makes_by_itself_is_an_accident(exact, share, told):
-    """Of 60 in 40 blocks of noise that says nothing of its own, `share` of it in the first."""
+@pytest.mark.parametrize(
+    ("edges_m", "gain", "share", "told"),
+    [
+        ((), 60.0, 1.0 / 40.0, True),
+        ((), 60.0, 0.5, True),
+        ((), 60.0, 0.9, False),
+        (((0.0,),), 400.0, 0.5, True),
+        (((0.0,),), 400.0, 0.99, False),  # a patch where a reading is off
+    ],
+)
+def test_a_gain_that_one_block_makes_by_itself_is_an_accident(exact, edges_m, gain, share, told):
+    """In 40 blocks of noise that says nothing of its own, `share` of it in the first."""
     rng = np.random.default_rng(1)
     column, residual = rng.standard_normal((2, BLOCKS.size))
-    wanted = np.where(BLOCKS == 0, 60.0 * share, 60.0 * (1.0 - share) / 39.0)
+    wanted = np.where(BLOCKS == 0, gain * share, gain * (1.0 - share) / 39.0)
     column *= np.sqrt(wanted / np.bincount(BLOCKS, column**2)[BLOCKS])
     along = np.bincount(BLOCKS, column * residual) / np.bincount(BLOCKS, column**2)
     residual -= along[BLOCKS] * column
-    evidence = evidence_of(exact, column, residual)
-    assert evidence.gain == pytest.approx(60.0)
+    evidence = evidence_of(exact, column, residual, edges_m)
+    assert evidence.gain == pytest.approx(gain)
     assert (evidence.p_value < 1e-5) == told
 
 

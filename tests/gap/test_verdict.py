@@ -12,7 +12,7 @@ from omnislip.gap.machine import Machine
 from omnislip.gap.metrics import Closed, Left
 from omnislip.gap.plan import Manoeuvre, Separation
 from omnislip.gap.selected import Selected
-from omnislip.gap.verdict import closes_nothing, judge_outcome
+from omnislip.gap.verdict import closes_nothing, judge_outcome, unchecked_words
 from omnislip.gap.words import advice, short_delay_words, verdict_words, weak_names
 from omnislip.model_file import NOMINAL_ROBOT, read_model
 
@@ -277,6 +277,26 @@ def test_a_name_that_a_shape_a_little_wrong_would_leave_carries_a_caution():
     assert caution.startswith("gyro_bias is weak: the other effects would leave as much if they")
     assert "7 % off" in caution
     assert weak_names([]) == []
+
+
+@pytest.mark.parametrize(("chance", "told"), [(1e-50, True), (1.0, False)])
+def test_only_what_is_no_chance_is_told_to_be_unchecked(chance, told):
+    """Nobody has to drive more for what gains much in one row of one run."""
+    effect = next(c for c in ROBOT.candidates() if c.effect == "low_grip")
+    values = np.array([p.low for p in effect.parameters])
+    trial = SimpleNamespace(
+        step=1,
+        candidate=effect,
+        values=values,
+        evidence=SimpleNamespace(beyond_chance=278.0),
+        chance=chance,
+        checked=False,
+        reason="is seen in no run that the others could check",
+        accepted=False,
+    )
+    data = SimpleNamespace(feigned_gain=0.0, machine=ROBOT)
+    words = unchecked_words(SimpleNamespace(selected=[], trials=[trial], data=data))
+    assert (words is not None and "low_grip" in words) == told
 
 
 def test_commands_that_surely_act_later_than_rows_can_time_are_told():

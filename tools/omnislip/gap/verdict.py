@@ -238,7 +238,10 @@ def refused_in_places(outcome: Outcome, table: GapTable) -> Trial | None:
 
 def unchecked_words(outcome: Outcome) -> str | None:
     """Say what is sure, but seen where no other run can check it; None if nothing is."""
-    trial = _surest(outcome, lambda trial: not trial.checked and trial.reason != WITHIN_LAW)
+    trial = _surest(
+        outcome,
+        lambda one: not one.checked and one.chance < ALPHA and one.reason != WITHIN_LAW,
+    )
     if trial is None:
         return None
     machine, candidate = outcome.data.machine, trial.candidate
