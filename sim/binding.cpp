@@ -281,10 +281,11 @@ class Engine {
         require(settle_s >= 0.0, "settle_s must not be negative");
         r.initial_state = to_vector(initial_state);
         r.settle_s = settle_s;
-        if (begun_variance)
+        if (begun_variance) {
             r.begun_variance = to_vector(*begun_variance);
-        require(!begun_variance || r.begun_variance.size() == r.initial_state.size() + pushes(),
-                "begun_variance must have one value for each state and push");
+            require(r.begun_variance.size() == r.initial_state.size() + pushes(),
+                    "begun_variance must have one value for each state and push");
+        }
         return r;
     }
 

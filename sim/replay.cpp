@@ -110,7 +110,7 @@ Track track(const Kernel &kernel, const Recording &recording, const double *valu
     Vector process = Vector::Zero(n), initial = Vector::Zero(n);
     std::copy(noise.process.begin(), noise.process.end(), process.data());
     const double *begun = recording.begun_variance.data(); /* of states, then disturbances */
-    const double *known = recording.begun_variance.empty() ? noise.initial.data() : begun;
+    const double *known = recording.begins() ? begun : noise.initial.data();
     std::copy_n(known, of_plant, initial.data());
     std::vector<int> moved(static_cast<std::size_t>(n)); /* places in x */
     std::iota(moved.begin(), moved.end(), 0);
@@ -127,7 +127,7 @@ Track track(const Kernel &kernel, const Recording &recording, const double *valu
     Matrix p = Matrix::Zero(all, all);
     p.diagonal().head(n) = initial;
     p.bottomRightCorner(q, q) = lasting;
-    if (!recording.begun_variance.empty())
+    if (recording.begins())
         p.bottomRightCorner(q, q).diagonal() += Eigen::Map<const Vector>(begun + of_plant, q);
     Matrix free = p; /* covariance of a replay that runs since its last restart */
     double restart_s = recording.time_s[0] + recording.settle_s;

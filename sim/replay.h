@@ -64,6 +64,10 @@ struct Recording {
     /* What warmed the motors before the first row: lengths of rows, and squares of the currents
      * that cold windings would have let through [row][motor]. */
     std::vector<double> past_s{}, past_current_a2{};
+
+    bool begins() const {
+        return !begun_variance.empty();
+    }
 };
 
 /* Noise of the filter: variances per second added to each state, variances of the outputs, the

@@ -243,7 +243,7 @@ class KernelOf final : public Kernel {
                              Internals &in) {
         S command[kMotors];
         broadcast(recording.command.data(), command, kMotors);
-        if (!recording.begun_variance.empty())
+        if (recording.begins())
             std::fill_n(command, kMotors, S(0.0));
         omnislip::settle(loaded.plant, x, command, recording.time_s[0], in);
         if constexpr (Plant::kKind == kRobot) {
@@ -603,9 +603,8 @@ class KernelOf final : public Kernel {
         }
         for (int i = 0; i < kStates; ++i) {
             process[i] = of_each([i](const Noise &n) { return n.process[i]; });
-            p[i][i] = of_each([i](const Noise &n) { return n.initial[i]; });
-            if (!recording.begun_variance.empty())
-                p[i][i] = S(recording.begun_variance[i]);
+            p[i][i] = recording.begins() ? S(recording.begun_variance[i])
+                                         : of_each([i](const Noise &n) { return n.initial[i]; });
         }
         for (int c = 0; c < kPushes; ++c) {
             for (int other = 0; other < kPushes; ++other) {
@@ -613,7 +612,7 @@ class KernelOf final : public Kernel {
                 lasting[c][other] = of_each([pair](const Noise &n) { return n.coloured[pair]; });
                 p[kMoved + c][kMoved + other] = lasting[c][other];
             }
-            if (!recording.begun_variance.empty())
+            if (recording.begins())
                 p[kMoved + c][kMoved + c] += S(recording.begun_variance[kStates + c]);
         }
         for (int j = 0; j < kOutputs; ++j) {

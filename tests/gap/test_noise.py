@@ -141,10 +141,10 @@ def textbook_filter(run, track, noise, engine):
     slope = track.slope.reshape(rows, m, n)
     innovation = track.innovation.reshape(rows, m)
     quiet = np.zeros(n - len(noise.process) - len(noise.coloured))  # memory
-    begun, coloured = run.recording.begun_variance, noise.coloured
-    initial = begun[: len(noise.initial)] if begun.size else noise.initial
-    if begun.size:
-        coloured = coloured + np.diag(begun[len(noise.initial) :])
+    initial, coloured = noise.initial, noise.coloured
+    if run.recording.begun_variance.size:
+        initial, more = np.split(run.recording.begun_variance, [len(initial)])
+        coloured = coloured + np.diag(more)
     covariance = block_diag(np.diag(np.concatenate([initial, quiet])), coloured)
     gain, whitening = np.zeros((rows, n, m)), np.zeros((rows, m, m))
     corrected, log_likelihood = np.zeros((rows, n)), 0.0

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import median_filter
 
-from omnislip.gap.machine import Machine, stall_acceleration_rad_s2, stall_current_a
+from omnislip.gap.machine import Machine, count_rad, stall_acceleration_rad_s2, stall_current_a
 from omnislip.gap.noise import (
     STEP_S,
     YAW,
@@ -580,7 +580,7 @@ def _electric(machine: Machine, log: Log) -> str | None:
 
 def _steady_windows(machine: Machine, log: Log) -> list[tuple[slice, int, float, float]]:
     """Windows of 0.2 s in which a wheel and its duty are steady: rows, wheel, shaft speed, duty."""
-    rad = 2 * np.pi / machine.model.values["encoder.counts_per_rev"]
+    rad = count_rad(machine)
     edges = np.arange(0, len(log.t_s), max(1, round(WINDOW_S / log.row_s)))
     found = []
     for wheel in range(4):

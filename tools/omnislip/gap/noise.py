@@ -25,7 +25,7 @@ from omnislip.gap.machine import (
     stall_acceleration_rad_s2,
     stall_current_a,
 )
-from omnislip.gap.recordings import PLACE_VARIANCE, SHAFT_VARIANCE, Run, wheel_jacobian
+from omnislip.gap.recordings import SHAFT_VARIANCE, Run, first_variance, wheel_jacobian
 
 Array = npt.NDArray[np.float64]
 
@@ -446,12 +446,7 @@ def _robot_noise(machine: Machine, logs: Array) -> Noise:
     output[GYRO], output[POSE_XY], output[HEADING] = gyro, place, heading
     if electric:
         output[SUPPLY], output[CURRENT] = electric
-    initial = np.array(
-        [SHAFT_VARIANCE] * 4
-        + [count_rad(machine) ** 2] * 4
-        + [0.02, 0.02, 0.05]
-        + [PLACE_VARIANCE] * 3
-    )
+    initial = first_variance(machine, SHAFT_VARIANCE, [0.02, 0.02, 0.05])
     unresolved = float(share) * stall_acceleration_rad_s2(machine) ** 2
     unresolved_current = float(share) * stall_current_a(machine) ** 2
     return Noise(

@@ -37,8 +37,7 @@ def reading_machine(machine: Machine, logs: Sequence[Log]) -> Machine:
         return machine
     told = np.array([_likelier_before(log) for log in logs])
     better, more = told[np.any(told != 0.0, axis=1)].T
-    says_so = better[more < NOTHING_MORE * better]
-    if np.sum(better) > SURELY_BEFORE and len(says_so) > 0.5 * len(better):
+    if np.sum(better) > SURELY_BEFORE and np.mean(more < NOTHING_MORE * better) > 0.5:
         return machine.of(machine.model, holds_commands=True, reads_before=True)
     return machine
 

@@ -308,7 +308,7 @@ def _robot_signals(machine: Machine, log: Log, rows: slice) -> tuple[Array, Arra
     columns = {name: values[rows] for name, values in log.columns.items()}
     blank = np.full(len(log.t_s[rows]), np.nan)
     command = np.stack([columns[f"wheel/{w}/duty"] for w in range(1, 5)], axis=1)
-    rad_per_count = 2 * np.pi / float(machine.model.values["encoder.counts_per_rev"])
+    rad_per_count = count_rad(machine)
     counts = [unwrap_counts(log.columns[name])[rows] for name in ROBOT_CHANNELS[:4]]
     angles = [count * rad_per_count for count in counts]
     others = [columns.get(name, blank) for name in ROBOT_CHANNELS[4:]]
@@ -415,14 +415,19 @@ def _begun_variance(machine: Machine, command: Array, rim_m_s: Array, mean_m_s: 
     lever_m = float(machine.model.values["robot.wheel_distance_m"])
     speed_rad_s = (mean_m_s - rim_m_s) / rim_m_per_rad(machine)
     lacking = 0.5 * command[0] * stall_acceleration_rad_s2(machine)
+    body = STARTING_VARIANCE / np.array([1.0, 1.0, lever_m**2])
+    state = first_variance(machine, SHAFT_VARIANCE + (0.5 * speed_rad_s) ** 2, body)
+    return np.concatenate([state, lacking**2, np.zeros(3)])
+
+
+def first_variance(machine: Machine, shafts: npt.ArrayLike, body: npt.ArrayLike) -> Array:
+    """Variances (14,) of a robot's first state by those of its speeds, (4,) or one and (3,)."""
     return np.concatenate(
         [
-            SHAFT_VARIANCE + (0.5 * speed_rad_s) ** 2,
+            np.broadcast_to(shafts, 4),
             np.full(4, count_rad(machine) ** 2),
-            STARTING_VARIANCE / np.array([1.0, 1.0, lever_m**2]),
+            np.asarray(body),
             np.full(3, PLACE_VARIANCE),
-            lacking**2,
-            np.zeros(3),
         ]
     )
 

@@ -25,9 +25,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.signal import lfilter
 
-from omnislip.gap.machine import Machine
+from omnislip.gap.machine import Machine, count_rad
 from omnislip.gap.noise import first_guess, track_all
-from omnislip.gap.recordings import make_run, unwrap_counts, wheel_jacobian
+from omnislip.gap.recordings import make_run, rim_m_per_rad, unwrap_counts, wheel_jacobian
 from omnislip.log_file import POSE_COLUMNS, Log
 from omnislip.model_file import ENCODERS, MOTORS, WHEEL_COLUMNS, WIRING, Effect
 
@@ -173,19 +173,17 @@ def _ways(machine: Machine, log: Log) -> tuple[Array, Array, Array]:
     values = machine.model.values
     edges_s = np.arange(log.t_s[0], log.t_s[-1], WINDOW_S)
     counts = [unwrap_counts(log.columns[f"wheel/{w}/encoder_counts"]) for w in range(1, 5)]
-    gear, radius_m = values["motor.gear_ratio"], values["robot.wheel_radius_m"]
-    rim_m = 2 * np.pi / values["encoder.counts_per_rev"] / gear * radius_m
-    rim = np.stack(
-        [np.diff(np.interp(edges_s, log.t_s, count)) * rim_m for count in counts], axis=1
-    )
+    per_rad_m = rim_m_per_rad(machine)
+    rim = np.diff([np.interp(edges_s, log.t_s, count) for count in counts], axis=1).T
+    rim *= count_rad(machine) * per_rad_m
     grid_s = np.arange(log.t_s[0], log.t_s[-1], GRID_S)
     rows = np.searchsorted(log.t_s, grid_s, side="right") - 1
     duty = np.stack([log.columns[f"wheel/{w}/duty"][rows] for w in range(1, 5)], axis=1)
-    inertia = values["motor.inertia_kg_m2"] + values["robot.mass_kg"] * (radius_m / gear) ** 2 / 4
+    inertia = values["motor.inertia_kg_m2"] + values["robot.mass_kg"] * per_rad_m**2 / 4
     k_v_s = values["motor.back_emf_constant_v_s_rad"]
     lag_s = inertia * values["motor.resistance_ohm"] / values["motor.torque_constant_nm_a"] / k_v_s
     fade = np.exp(-GRID_S / lag_s)
-    speed_m_s = values["motor.supply_v"] / k_v_s / gear * radius_m
+    speed_m_s = values["motor.supply_v"] / k_v_s * per_rad_m
     driven_m = np.cumsum(lfilter([1 - fade], [1, -fade], duty, axis=0), axis=0) * speed_m_s * GRID_S
     driven = np.diff([np.interp(edges_s, grid_s, way) for way in driven_m.T], axis=1).T
     return rim, driven, _body_ways(log, edges_s)
