@@ -230,6 +230,14 @@ Recording warmed(const Recording &cold, const Array1 &length_s, const Array2 &co
     return r;
 }
 
+Recording missing(const Recording &whole, const Array1 &untold) {
+    require(untold.size() == static_cast<std::size_t>(whole.rows),
+            "untold must have one value for each row");
+    Recording r = whole;
+    r.untold = to_vector(untold);
+    return r;
+}
+
 Recording reading_before(const Recording &after, bool before) {
     Recording r = after;
     r.reads_before = before;
@@ -758,6 +766,9 @@ void bind_replay(nb::module_ &m) {
         .def_prop_ro(
             "begun_variance", [](const Recording &r) { return copy_to_numpy(r.begun_variance); },
             "As `Engine.recording` was given it; empty without.")
+        .def_prop_ro(
+            "untold", [](const Recording &r) { return copy_to_numpy(r.untold); },
+            "As `missing` was given it; empty without.")
         .def("rising", &rising, "rise"_a,
              "The same with commands that rise (rows, motors) evenly within each row.")
         .def("commanded", &commanded, "command"_a, "The same with other commands (rows, motors).")
@@ -766,7 +777,10 @@ void bind_replay(nb::module_ &m) {
              "or after.")
         .def("warmed", &warmed, "length_s"_a, "cold_current_a2"_a,
              "The same of a robot behind rows of these lengths (rows,) in which cold windings "
-             "would have let currents of these squares (rows, motors) through.");
+             "would have let currents of these squares (rows, motors) through.")
+        .def("missing", &missing, "untold"_a,
+             "The same of a machine with disturbed motors, with rows missing: a motor's rate per "
+             "command times the share of each row (rows,) of which nothing tells the command.");
     nb::class_<Track>(m, "Track", "Arrays are flat, row major: see replay.h for their layout.")
         .def_ro("log_likelihood", &Track::log_likelihood)
         .def_prop_ro(

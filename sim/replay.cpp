@@ -16,15 +16,21 @@ namespace omnislip {
 double change_into(const Recording &recording, int motors, int k, int motor) {
     const std::size_t place = static_cast<std::size_t>(k) * static_cast<std::size_t>(motors) +
                               static_cast<std::size_t>(motor);
-    return k > 0 ? recording.command[place] -
-                       recording.command[place - static_cast<std::size_t>(motors)]
-                 : 0.0;
+    return k > 0 && k < recording.rows
+               ? recording.command[place] -
+                     recording.command[place - static_cast<std::size_t>(motors)]
+               : 0.0;
 }
 
 double squared_change(const Recording &recording, int motors, int k, int motor) {
     const double into = change_into(recording, motors, k, motor);
     const double out = change_into(recording, motors, k + 1, motor);
     return 0.5 * (into * into + out * out);
+}
+
+double squared_change_beside(const Recording &recording, int motors, int k, int motor) {
+    return 0.5 * (squared_change(recording, motors, k - 1, motor) +
+                  squared_change(recording, motors, k, motor));
 }
 
 namespace {
@@ -144,9 +150,9 @@ Track track(const Kernel &kernel, const Recording &recording, const double *valu
         if (keep_linear)
             std::copy(slope.data(), slope.data() + m * all, &result.slope[k * m * all]);
         for (int i = m - kernel.current_outputs(), motor = 0; i < m; ++i, ++motor) {
-            const double change = change_into(recording, motors, static_cast<int>(k), motor);
             variance[i] = noise.output[static_cast<std::size_t>(i)] +
-                          0.25 * noise.unresolved_current * change * change;
+                          0.25 * noise.unresolved_current *
+                              squared_change_beside(recording, motors, static_cast<int>(k), motor);
         }
         for (int j = 0; j < m; ++j)
             result.innovation[k * m + j] = measured[j] - predicted[j];
@@ -195,16 +201,22 @@ Track track(const Kernel &kernel, const Recording &recording, const double *valu
             std::copy(transition.data(), transition.data() + all * all,
                       &result.transition[k * all * all]);
         grown = process * duration_s;
-        const double way = duration_s * duration_s / 12.0;
-        /* The ways follow the speeds in the state of a machine that has them. */
-        for (int i = 0; noise.unresolved > 0.0 && i < motors; ++i) {
-            grown[motors + i] += noise.unresolved * way * way *
-                                 squared_change(recording, motors, static_cast<int>(k), i);
-        }
         const auto carry = [&](Matrix &covariance) {
             kernel.carry_covariance(transition.data(), all, covariance.data());
             covariance.diagonal().head(n) += grown;
             covariance.bottomRightCorner(q, q) += (1.0 - decay * decay) * lasting;
+            for (int i = 0; q > 0 && i < motors; ++i) {
+                const int row = static_cast<int>(k);
+                const double lost =
+                    recording.untold_in(k) * change_into(recording, motors, row + 1, i);
+                Vector end = Vector::Zero(n);
+                end[kernel.pushed_states()[i]] = duration_s;
+                const Vector begin = 2.0 * push.col(i) - end, late = (end - begin) / 12.0;
+                covariance.topLeftCorner(n, n) +=
+                    0.5 * lost * lost * (begin * begin.transpose() + end * end.transpose()) +
+                    noise.unresolved * squared_change(recording, motors, row, i) * late *
+                        late.transpose();
+            }
         };
         carry(p);
         if (with_floor)

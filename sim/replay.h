@@ -64,9 +64,18 @@ struct Recording {
     /* What warmed the motors before the first row: lengths of rows, and squares of the currents
      * that cold windings would have let through [row][motor]. */
     std::vector<double> past_s{}, past_current_a2{};
+    /* [row] Of rows behind which others are missing: a motor's rate per command, times the share of
+     * the row of which nothing tells the command. It may be the mean's or the next row's, of which
+     * it is c off. A motor pushed early in the row passes it on to what it drives, F e with F the
+     * transition, later keeps it, e: both are free, each with a variance of (untold c T)^2 / 2,
+     * no less than that of what lasts for the row. Empty: none is missing. */
+    std::vector<double> untold{};
 
     bool begins() const {
         return !begun_variance.empty();
+    }
+    double untold_in(std::size_t row) const {
+        return untold.empty() ? 0.0 : untold[row];
     }
 };
 
@@ -75,11 +84,13 @@ struct Recording {
  * variance of the rows' times [s^2]: a row taken d late shows every output d times its rate off,
  * and what a row's mean command does not tell. A controller that is faster than the log moves the
  * command within a row. Going evenly from the one neighbour's command to the other's, with a change
- * c a row of length T, it leaves the speed at the end of the row where the mean takes it but the
- * way a c T^2 / 12 short, a the motor's acceleration per command: variance unresolved * c^2 T^4 /
- * 144 of each motor's way, unresolved = a^2 if the whole change happens so, 0 if the command is
- * held. Likewise the current at the row's begin is b c / 2 off, b the current per command at rest:
- * variance unresolved_current c^2 / 4 of a logged current. */
+ * c it moves the state at the end of a row of length T by a c T (e - F e) / 12 (Simpson's rule), a
+ * the motor's acceleration per command, e its own state, F the transition: a motor that nothing
+ * holds is as fast as by the mean, but a c T^2 / 12 less far; one that a contact holds within the
+ * row ends where its command does. Variance unresolved c^2 along that, unresolved = a^2 if the
+ * whole change happens so, 0 if the command is held. Likewise the current at the row's begin is b c
+ * / 2 off, b the current per command at rest: variance unresolved_current c^2 / 4 of a logged
+ * current, c^2 the mean over both rows beside. */
 struct Noise {
     std::vector<double> process, output, initial;
     double timing_s2 = 0.0;
@@ -109,9 +120,11 @@ struct ParameterSets {
     int size = 0;
 };
 
-/* Change of a motor's command into row k, and its mean square into and out of row k. */
+/* Change of a motor's command into row k, its mean square into and out of row k, and the mean of
+ * that over the rows on both sides of where row k begins. */
 double change_into(const Recording &recording, int motors, int k, int motor);
 double squared_change(const Recording &recording, int motors, int k, int motor);
+double squared_change_beside(const Recording &recording, int motors, int k, int motor);
 
 /* Parts that are compiled once per instruction set. */
 class Kernel {

@@ -630,8 +630,8 @@ class KernelOf final : public Kernel {
             S variance[kOutputs];
             std::copy_n(output, kOutputs, variance);
             for (int i = 0; i < current_outputs(); ++i) {
-                const double change = change_into(recording, kMotors, k, i);
-                variance[kOutputs - kMotors + i] += S(0.25 * change * change) * unresolved_current;
+                const double square = squared_change_beside(recording, kMotors, k, i);
+                variance[kOutputs - kMotors + i] += S(0.25 * square) * unresolved_current;
             }
             update<kFilter>(track, k, slope, variance, late, p, apart, total, keep);
             if (k + 1 == recording.rows)
@@ -654,14 +654,40 @@ class KernelOf final : public Kernel {
                 for (int other = 0; other < kPushes; ++other)
                     p[kMoved + c][kMoved + other] += renewed * lasting[c][other];
             }
-            const double way = duration_s * duration_s / 12.0;
-            for (int i = 0; i < kMotors && kMotors + i < kStates; ++i) {
-                p[kMotors + i][kMotors + i] +=
-                    unresolved * S(way * way * squared_change(recording, kMotors, k, i));
-            }
+            if constexpr (kPushes > 0)
+                add_untold<kFilter>(recording, track, k, unresolved, p);
         }
         for (int i = 0; i < count; ++i)
             log_likelihood[i] += lane(total, i);
+    }
+
+    /* P grows from row k to the next by what the row's mean does not tell of the commands. */
+    template <int kFilter>
+    static void add_untold(const Recording &recording, const Track &track, int k,
+                           const S &unresolved, S (&p)[kFilter][kFilter]) {
+        constexpr int kMoved = kFilter - kPushes;
+        const double duration_s = recording.time_s[k + 1] - recording.time_s[k];
+        const double untold = recording.untold_in(static_cast<std::size_t>(k));
+        for (int motor = 0; motor < kMotors; ++motor) {
+            const double *push = &track.push[k * kMoved * kPushes + motor];
+            const double lost = untold * change_into(recording, kMotors, k + 1, motor);
+            const S square = unresolved * S(squared_change(recording, kMotors, k, motor));
+            double begin[kMoved], end[kMoved], late[kMoved];
+            for (int i = 0; i < kMoved; ++i) {
+                end[i] = i == motor ? duration_s : 0.0;
+                begin[i] = 2.0 * push[i * kPushes] - end[i];
+                late[i] = (end[i] - begin[i]) / 12.0;
+            }
+            for (int i = 0; i < kMoved; ++i) {
+                for (int j = 0; j <= i; ++j) {
+                    const double unknown = begin[i] * begin[j] + end[i] * end[j];
+                    const S grown = S(0.5 * lost * lost * unknown) + square * S(late[i] * late[j]);
+                    p[i][j] += grown;
+                    if (i != j)
+                        p[j][i] += grown;
+                }
+            }
+        }
     }
 
     /* Of a row of `sampled` outputs: what each noise changes of the first one's covariance,

@@ -165,8 +165,8 @@ def test_first_state_of_a_robot_whose_wheels_spin_up_is_that_of_rest():
 
 
 def started(machine, duty):
-    """Log of a robot that stood until the first row, then is driven along x."""
-    t_s, command = 5e-3 * np.arange(60), np.tile(duty * np.array([-1.0, -1.0, 1.0, 1.0]), (60, 1))
+    """Log of a robot that stood until the first row, then is driven along x by duties (60,)."""
+    t_s, command = 5e-3 * np.arange(60), np.outer(duty, [-1.0, -1.0, 1.0, 1.0])
     still, silent = np.zeros(14), np.zeros((60, 8))
     recording = machine.recording(t_s, command, silent, still, 0.25, np.zeros(21))
     certain = Noise(still, np.ones(8), still, 0.0, 0.0, np.zeros(8))
@@ -187,21 +187,43 @@ def test_a_start_that_lags_behind_its_command_is_what_the_filter_expects(duty):
     """Coils need 5 ms. If the command were said to have lasted, or the robot to be anywhere."""
     coils = [Effect("armature_inductance", {"inductance_h": 3e-3})]
     machine = HOLDING.of(replace(ROBOT.model, effects=coils))
-    run = make_run(machine, started(machine, duty))
+    run = make_run(machine, started(machine, np.full(60, duty)))
+    lasted = machine.recording(run.t_s, run.command, run.outputs, np.zeros(14))
+    sampled = np.count_nonzero(~np.isnan(run.outputs[:20]))
+    squares = [white_squares(machine, one)[:20].sum() for one in (run.recording, lasted)]
+    assert squares[0] < sampled
+    assert squares[1] > 20.0 * sampled
+
+
+@pytest.mark.parametrize("duty", [0.2, 0.5, 1.0])
+def test_what_a_missing_row_was_driven_by_nobody_knows(duty):
+    """A jump that is taken back in the row that is lost: the mean of the one before is its own."""
+    driven = np.full(60, 0.1)
+    driven[20] = duty + 0.1
+    log = started(HOLDING, driven)
+    kept = np.arange(60) != 21
+    log = Log("run", log.t_s[kept], {name: one[kept] for name, one in log.columns.items()})
+    run = make_run(HOLDING, log)
+    stall_rad_s2 = 24.0 / 0.6 * 0.0255 / 2.5e-5
+    untold = np.where(np.arange(59) == 20, 0.5 * stall_rad_s2, 0.0)
+    np.testing.assert_allclose(run.recording.untold, untold, rtol=1e-9, atol=1e-4)
+    sampled = np.count_nonzero(~np.isnan(run.outputs[21:31]))
+    known = run.recording.missing(np.zeros(59))
+    squares = [white_squares(HOLDING, one)[21:31].sum() for one in (run.recording, known)]
+    assert squares[0] < 3.0 * sampled
+    assert squares[1] > 300.0 * squares[0]
+
+
+def white_squares(machine, recording):
+    """Sum of the squares of whitened innovations in each row (rows,), by noise of a quiet floor."""
     output = np.array([RAD_PER_COUNT**2 / 12] * 4 + [1e-6] * 4)
     initial = np.array([25.0] * 4 + [RAD_PER_COUNT**2] * 4 + [0.02, 0.02, 0.05] + [1e-4] * 3)
     lasting = np.diag([1.0] * 4 + [1e-4] * 3)
     noise = Noise(np.zeros(14), output, initial, 0.0, 0.0, np.zeros(8), 0.0, lasting, 40.0)
-    lasted = machine.recording(run.t_s, run.command, run.outputs, np.zeros(14))
-    squares = []
-    for recording in (run.recording, lasted):
-        [track] = track_recordings(machine, [recording], machine.believed, noise, 5e-3)
-        innovation = np.nan_to_num(track.innovation.reshape(60, 8))[:20]
-        white = np.einsum("kij,kj->ki", track.whitening.reshape(60, 8, 8)[:20], innovation)
-        squares.append(float(np.sum(white**2)))
-    sampled = np.count_nonzero(~np.isnan(run.outputs[:20]))
-    assert squares[0] < sampled
-    assert squares[1] > 20.0 * sampled
+    [track] = track_recordings(machine, [recording], machine.believed, noise, 5e-3)
+    innovation = np.nan_to_num(track.innovation.reshape(-1, 8))
+    white = np.einsum("kij,kj->ki", track.whitening.reshape(-1, 8, 8), innovation)
+    return np.sum(white**2, axis=1)
 
 
 @pytest.mark.parametrize("velocity", [(0.3, 0.0, 0.0), (0.0, -2.0, 0.0)])

@@ -189,8 +189,10 @@ def make_run(machine: Machine, log: Log, begin: int = 0, end: int | None = None)
         state = np.array([speed, outputs[0, 0]])
         channels, scale = (position,), np.ones(1)
     recording = machine.recording(t_s, command, outputs, state, settle_s, begun_variance)
-    if machine.kind == "robot" and begin > 0:
-        recording = recording.warmed(*_past_currents(machine, log, begin))
+    if machine.kind == "robot":
+        recording = recording.missing(_untold(machine, log, t_s))
+        if begin > 0:
+            recording = recording.warmed(*_past_currents(machine, log, begin))
     # The engine reads a blank command as "drive off"; for everybody else that is no command.
     off = np.isnan(command[:, 0])
     run = Run(
@@ -326,6 +328,16 @@ def _robot_signals(machine: Machine, log: Log, rows: slice) -> tuple[Array, Arra
     ]
     outputs = np.stack([*angles, *others, *electric], axis=1)
     return np.ascontiguousarray(command), outputs
+
+
+def _untold(machine: Machine, log: Log, t_s: Array) -> Array:
+    """Return how much faster a shaft may get per duty (rows,) by what no row of the log tells.
+
+    Where rows are missing the mean may be that of the time up to the first of them.
+    """
+    length_s = np.diff(t_s, append=t_s[-1] + log.row_s)
+    share = np.where(length_s > LOST * log.row_s, 1.0 - log.row_s / length_s, 0.0)
+    return share * stall_acceleration_rad_s2(machine)
 
 
 def _past_currents(machine: Machine, log: Log, begin: int) -> tuple[Array, Array]:
