@@ -15,7 +15,7 @@ from omnislip.gap.machine import Machine
 from omnislip.gap.noise import RunawayError
 from omnislip.gap.recordings import make_run
 from omnislip.gap.screen import screen
-from omnislip.gap.search import search
+from omnislip.gap.search import Found, search
 from omnislip.gap.selected import stability_of
 from omnislip.gap.settle import believed_hypothesis, settle
 from omnislip.gap.truth import TruthCase
@@ -206,13 +206,16 @@ def test_two_effects_are_both_named(machine):
     assert sorted(names(outcome)) == ["coulomb_friction", "dead_zone"]
 
 
+@pytest.mark.parametrize("mistaken", [True, False])
 @pytest.mark.parametrize("rubs", [True, False])
-def test_a_search_goes_on_from_one_before_only_if_all_of_that_holds(machine, outcomes, rubs):
+def test_a_search_goes_on_from_one_before_only_if_all_of_that_holds(
+    machine, outcomes, rubs, mistaken
+):
     """Where nothing rubs, friction that was found before is looked for from the beginning."""
-    before = outcomes["coulomb_friction"]
-    told = []
+    before, told = outcomes["coulomb_friction"], []
+    found = replace(before.found, mistaken=mistaken)
     runs = make_runs(machine, Bench(coulomb_n=2.0 if rubs else 0.0), [*range(20, 28)])
-    outcome = search(machine, runs, None, told.append, before=before)
+    outcome = search(machine, runs, None, told.append, before=found)
     went_on = "going on from what was found before" in told
     assert went_on == rubs
     assert names(outcome) == (["coulomb_friction"] if rubs else [])
@@ -221,6 +224,40 @@ def test_a_search_goes_on_from_one_before_only_if_all_of_that_holds(machine, out
         first, *_ = outcome.trials
         assert first in before.trials
         assert max(trial.step for trial in outcome.trials if trial.accepted) == 1
+
+
+def test_a_name_that_mistaken_runs_had_gives_way_to_a_better_one(machine, outcomes):
+    """Found where commands were taken to move otherwise: a rival that was near then is compared."""
+    friction = outcomes["coulomb_friction"]
+    [dead_zone] = [c for c in machine.candidates() if c.effect == "dead_zone"]
+    model = friction.base.hypothesis.with_effect(dead_zone, [0.1])
+    near = {"dead_zone": [friction.selected[0].candidate]}
+    found = Found(model, friction.data.noise, near, friction.trials, mistaken=True)
+    runs = make_runs(machine, Bench(coulomb_n=2.0), [*range(20, 28)])
+    told = []
+    outcome = search(machine, runs, None, told.append, before=found)
+    assert "going on from what was found before" in told
+    assert names(outcome) == ["coulomb_friction"]
+
+
+def test_a_better_model_that_shows_another_machine_is_handed_on(machine):
+    """Each is asked with its noise; what was found so far comes along with the machine."""
+    asked = []
+
+    def other_machine(model, noise):
+        asked.append((model, noise))
+        return machine
+
+    runs = make_runs(machine, Bench(coulomb_n=2.0), [*range(20, 28)])
+    with pytest.raises(search_module.MistakenError) as error:
+        search(machine, runs, None, lambda _: None, other_machine=other_machine)
+    [(model, noise)], found = asked, error.value.found
+    assert error.value.machine is machine
+    assert (found.model, found.noise, found.mistaken) == (model, noise, True)
+    assert [effect.name for effect in model.effects] == ["coulomb_friction"]
+    assert [trial.candidate.name for trial in found.trials if trial.accepted] == [
+        "coulomb_friction"
+    ]
 
 
 def test_what_gave_way_to_another_is_looked_for_again(machine, monkeypatch):

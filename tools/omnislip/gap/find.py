@@ -184,7 +184,7 @@ def _search(recorded: _Recorded, progress: Progress) -> _Searched:
         raise _InsufficientError(too_cut(known))
     machine, noise, first = first_models(recorded.machine, known.fitting)
     runs, impacts = _pushes_beside(machine, logs, cuts, first, noise)
-    least, outcome = 0, None
+    least, found = 0, None
     for left in reversed(range(3)):
         pushes = cuts + [(impact.run, impact.time_s) for impact in impacts]
         split = split_runs(machine, logs, pushes)
@@ -193,15 +193,16 @@ def _search(recorded: _Recorded, progress: Progress) -> _Searched:
         other = partial(other_machine, machine, split.fitting, least) if left else None
         try:
             outcome = search(
-                machine, split.fitting, noise, progress, first.without_effects(), other, outcome
+                machine, split.fitting, noise, progress, first.without_effects(), other, found
             )
         except MistakenError as error:
-            least, machine = error.effects, error.machine
+            found, machine = error.found, error.machine
+            least = len(found.model.effects)
             progress(f"again with duties {'held' if machine.holds_commands else 'moving'} in rows")
             noise, first = first_model(machine, taken_as(machine, split.fitting), (noise, first))
-            outcome = None
             runs, impacts = _pushes_beside(machine, logs, cuts, first, noise)
             continue
+        found = outcome.found
         progress("looking for impacts with the final model")
         confirmed = _pushes_by(machine, logs, runs, outcome)
         cut_out = [new for new in confirmed if any(new.near(old) for old in impacts)]

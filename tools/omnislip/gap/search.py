@@ -73,6 +73,19 @@ CONVERGED = 0.05
 
 
 @dataclass(frozen=True)
+class Found:
+    """What another search may go on from: a model, its noise, and how it came about."""
+
+    model: Hypothesis
+    noise: Noise
+    neighbours: dict[str, list[Candidate]]
+    """As `Outcome` has them."""
+    trials: tuple[Trial, ...]
+    mistaken: bool = False
+    """Whether the runs were taken for those of another machine: then a name may be another's."""
+
+
+@dataclass(frozen=True)
 class Outcome:
     """What the search found: the base fit, the final fit, every trial."""
 
@@ -105,17 +118,22 @@ class Outcome:
                 x[first + low], x[first + high] = one.interval[low, 0], one.interval[high, 1]
         return replace(model, x=x)
 
+    @property
+    def found(self) -> Found:
+        """What another search may go on from."""
+        return Found(self.final.hypothesis, self.data.noise, self.neighbours, self.trials)
+
     def without_effects(self) -> "Outcome":
         """Return the outcome with the base fit as the final one."""
         return replace(self, final=self.base, ladder=self.ladder[:1], selected=())
 
 
 class MistakenError(Exception):
-    """A better model, with so many `effects`, shows that runs are those of another `machine`."""
+    """A better model, that is `found`, shows that runs are those of another `machine`."""
 
-    def __init__(self, effects: int, machine: Machine) -> None:
+    def __init__(self, found: Found, machine: Machine) -> None:
         super().__init__()
-        self.effects, self.machine = effects, machine
+        self.found, self.machine = found, machine
 
 
 def search(
@@ -125,14 +143,14 @@ def search(
     progress: Progress,
     start: Hypothesis | None = None,
     other_machine: Callable[[Hypothesis, Noise], Machine | None] | None = None,
-    before: Outcome | None = None,
+    before: Found | None = None,
 ) -> Outcome:
     """Find the missing effects on runs of two units or more.
 
     From a first `noise` and believed keys `start` that fit better than the file's, or none.
     `other_machine` is asked, by each better model and its noise, whether the runs are those of
     another; then MistakenError is raised. `before`: what was found when other pushes were cut out
-    of the same logs, to go on from if all of that holds.
+    of the same logs or these were taken for another machine's, to go on from if all of that holds.
     """
     candidates = machine.candidates_for(runs)
     floor = {c.name: c for c in candidates if c.edges_m}
@@ -149,7 +167,10 @@ def search(
     if again is not None:
         progress("going on from what was found before")
         (data, current), neighbours = again, dict(before.neighbours)
-        settled, curves = current, curves_in(current)
+        settled = current
+        if before.mistaken:
+            current, compared = swap_effects(data, current, neighbours, progress, tried)
+        curves = curves_in(current)
         taken = {effect.name for effect in current.hypothesis.effects}
         candidates = [c for c in candidates if c.name not in taken]
         steps = max(trial.step for trial in before.trials if trial.accepted)
@@ -200,7 +221,8 @@ def search(
             break
         other = other_machine(current.hypothesis, data.noise) if other_machine else None
         if other:
-            raise MistakenError(len(current.hypothesis.effects), other)
+            found_so_far = Found(current.hypothesis, data.noise, neighbours, tuple(trials), True)
+            raise MistakenError(found_so_far, other)
         settled = current
         data, current = settle_placed(data, extend_effects(machine, data, current))
         current = drop_needless(data, current, tried)
@@ -244,14 +266,13 @@ def search(
 
 
 def _again(
-    machine: Machine, runs: Sequence[Run], before: Outcome, tried: int
+    machine: Machine, runs: Sequence[Run], before: Found, tried: int
 ) -> tuple[Data, Fit] | None:
     """Settle a model that was found before; None if it has no effects, or not all of them hold."""
-    model = before.final.hypothesis
-    if not model.effects:
+    if not before.model.effects:
         return None
     try:
-        data, settled = settle(machine, runs, model, before.data.noise)
+        data, settled = settle(machine, runs, before.model, before.noise)
     except RunawayError:
         return None
     holds = drop_needless(data, settled, tried) is settled
