@@ -14,7 +14,6 @@ from omnislip.gap.find import find_gap
 from omnislip.gap.findings import to_json
 from omnislip.gap.inference import Hypothesis, fit
 from omnislip.gap.machine import Machine
-from omnislip.gap.noise import first_guess
 from omnislip.gap.plan import Limits, Question, Rehearsal
 from omnislip.gap.recordings import ROBOT_CHANNELS
 from omnislip.log_file import write_log
@@ -90,7 +89,8 @@ def lead(name, sizes, rival, driven="reversals"):
     truth, own = truth_of(name, sizes)
     model = replace(MODEL, effects=[MACHINE.effect_of(own, sizes)])
     run = Rehearsal(MACHINE, Limits()).run(model, manoeuvre(driven))
-    data = planning.Expected(MACHINE, run, first_guess(MACHINE, [noisy(model, driven)]), truth)
+    noise = planning.typical_noise(MACHINE, noisy(model, driven))
+    data = planning.Expected(MACHINE, run, noise, truth)
     other = truth_of(rival, [0.0])[1]
     return planning.fit_rival(data, truth.without(0), other).objective
 
@@ -156,7 +156,7 @@ def known_of(name, sizes):
     """A log of a robot that has this effect, and the true structure fitted to it."""
     truth, own = truth_of(name, sizes)
     run = noisy(replace(MODEL, effects=[MACHINE.effect_of(own, sizes)]), "headings")
-    noise = first_guess(MACHINE, [run])
+    noise = planning.typical_noise(MACHINE, run)
     data = planning.Data(MACHINE, [run], noise, truth)
     return data, fit(data, truth).hypothesis
 
