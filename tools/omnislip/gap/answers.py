@@ -32,7 +32,7 @@ instruments -w~'r / w~'w, between 0 and 1.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -222,9 +222,11 @@ def likelier_with_rows(machine: Machine, runs: Sequence[Run], values: Array, noi
     """Return by how much (log) the motion is likelier if held commands jump where rows begin.
 
     A controller that leads a step of its set point over a row gives all wheels a mean of what was
-    before and after, as a jump within the row does.
+    before and after, as a jump within the row does. Of commands that are held either tells all, so
+    what noise leaves open within rows has no say.
     """
     runs = [run for run in runs if (run.parted or run).jumped.size]
+    noise = replace(noise, unresolved=0.0, unresolved_current=0.0)
     parted = _likelihoods(machine, [run.held_in_rows() for run in runs], values, noise)
     whole = _likelihoods(machine, [run.set_with_rows() for run in runs], values, noise)
     return _likelier(parted, whole)
