@@ -73,7 +73,7 @@ TYPICAL_SENSORS = Sensors(
 )
 MOVED_IN_ROWS = 0.1
 """Share of what commands change from row to row, squared, that moves them within rows unknown to
-their means: logs driven smoothly in open loop show 0.05 to 0.1, steps at row's ends nothing."""
+their means: logs driven smoothly in open loop show 0.05 to 0.1, steps where rows begin nothing."""
 
 
 @dataclass(frozen=True)
