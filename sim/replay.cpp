@@ -128,7 +128,7 @@ Track track(const Kernel &kernel, const Recording &recording, const double *valu
     Vector x = Vector::Zero(kernel.states_and_memory()), next(x.size());
     x.head(of_plant) = Eigen::Map<const Vector>(recording.initial_state.data(), of_plant);
     kernel.settle(loaded.get(), recording, x.data());
-    Vector estimate = Vector::Zero(all), grown(n);
+    Vector estimate = Vector::Zero(all);
     estimate.head(n) = x(moved);
     Matrix p = Matrix::Zero(all, all);
     p.diagonal().head(n) = initial;
@@ -137,7 +137,7 @@ Track track(const Kernel &kernel, const Recording &recording, const double *valu
         p.bottomRightCorner(q, q).diagonal() += Eigen::Map<const Vector>(begun + of_plant, q);
     Matrix free = p; /* covariance of a replay that runs since its last restart */
     double restart_s = recording.time_s[0] + recording.settle_s;
-    Matrix moves(n, n), shown(m, n), push(n, q);
+    Matrix moves(n, n), shown(m, n), push(n, q), grown(n, n);
     Matrix transition = Matrix::Zero(all, all), slope = Matrix::Zero(m, all);
     Vector predicted(m), mistiming = Vector::Zero(m);
     std::vector<double> gone(kernel.shows_late(loaded.get()) ? 3 * rows : 0, 0.0);
@@ -200,23 +200,21 @@ Track track(const Kernel &kernel, const Recording &recording, const double *valu
         if (keep_linear)
             std::copy(transition.data(), transition.data() + all * all,
                       &result.transition[k * all * all]);
-        grown = process * duration_s;
+        grown = (process * duration_s).asDiagonal();
+        for (int i = 0; q > 0 && i < motors; ++i) {
+            const int row = static_cast<int>(k);
+            const double lost = recording.untold_in(k) * change_into(recording, motors, row + 1, i);
+            Vector end = Vector::Zero(n);
+            end[kernel.pushed_states()[i]] = duration_s;
+            const Vector begin = 2.0 * push.col(i) - end, late = (end - begin) / 12.0;
+            grown += 0.5 * lost * lost * (begin * begin.transpose() + end * end.transpose()) +
+                     noise.unresolved * squared_change(recording, motors, row, i) * late *
+                         late.transpose();
+        }
         const auto carry = [&](Matrix &covariance) {
             kernel.carry_covariance(transition.data(), all, covariance.data());
-            covariance.diagonal().head(n) += grown;
+            covariance.topLeftCorner(n, n) += grown;
             covariance.bottomRightCorner(q, q) += (1.0 - decay * decay) * lasting;
-            for (int i = 0; q > 0 && i < motors; ++i) {
-                const int row = static_cast<int>(k);
-                const double lost =
-                    recording.untold_in(k) * change_into(recording, motors, row + 1, i);
-                Vector end = Vector::Zero(n);
-                end[kernel.pushed_states()[i]] = duration_s;
-                const Vector begin = 2.0 * push.col(i) - end, late = (end - begin) / 12.0;
-                covariance.topLeftCorner(n, n) +=
-                    0.5 * lost * lost * (begin * begin.transpose() + end * end.transpose()) +
-                    noise.unresolved * squared_change(recording, motors, row, i) * late *
-                        late.transpose();
-            }
         };
         carry(p);
         if (with_floor)

@@ -197,7 +197,10 @@ def test_a_start_that_lags_behind_its_command_is_what_the_filter_expects(duty):
 
 @pytest.mark.parametrize("duty", [0.2, 0.5, 1.0])
 def test_what_a_missing_row_was_driven_by_nobody_knows(duty):
-    """A jump that is taken back in the row that is lost: the mean of the one before is its own."""
+    """A jump that is taken back in the row that is lost: the mean of the one before is its own.
+
+    To a factor of three: what a wheel passes on to the others beside the body is not left open.
+    """
     driven = np.full(60, 0.1)
     driven[20] = duty + 0.1
     log = started(HOLDING, driven)

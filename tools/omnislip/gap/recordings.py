@@ -331,7 +331,7 @@ def _robot_signals(machine: Machine, log: Log, rows: slice) -> tuple[Array, Arra
 
 
 def _untold(machine: Machine, log: Log, t_s: Array) -> Array:
-    """Return how much faster a shaft may get per duty (rows,) by what no row of the log tells.
+    """Return a shaft's acceleration per duty in rad/s2, times the share of each row (rows,) untold.
 
     Where rows are missing the mean may be that of the time up to the first of them.
     """

@@ -55,7 +55,7 @@ READ_DEVIATION = 0.5
 def hidden_columns(
     machine: Machine, runs: Sequence[Run], tracks: Sequence[_core.Track], values: Array
 ) -> Array:
-    """Return what commands that rise within rows do to a robot's whitened innovations.
+    """Return what commands that move within rows do to a robot's whitened innovations.
 
     By the plant with the flat set `values`, whose tracks they are: columns (all rows * outputs, 2,
     or 5 where currents are read and commands move).
@@ -85,15 +85,16 @@ def hidden_columns(
 
 
 def _read_amid(machine: Machine, runs: Sequence[Run], tracks: Sequence[_core.Track]) -> list[Array]:
-    """Return what whitened innovations change (all rows * outputs,) if currents flow by more of
-    the changes of commands around their rows."""
+    """Return columns (all rows * outputs,) for currents that flow by what commands change nearby.
+
+    Each by the deviation of one of three sizes.
+    """
     found = []
     for run, track in zip(runs, tracks, strict=True):
         change = np.diff(run.command, axis=0, prepend=run.command[:1])
         change[-1] = 0.0  # the last row's command is the mean of no row
-        before, after = (
-            np.pad(change, ((1, 1), (0, 0)))[rows] for rows in (slice(-2), slice(2, None))
-        )
+        padded = np.pad(change, ((1, 1), (0, 0)))
+        before, after = padded[:-2], padded[2:]
         around = np.stack([change, after - before, after - 2.0 * change + before], axis=2)
         shown = np.zeros((*run.outputs.shape, around.shape[2]))
         shown[:, CURRENT] = READ_DEVIATION * stall_current_a(machine) * around
