@@ -238,9 +238,10 @@ Recording missing(const Recording &whole, const Array1 &untold) {
     return r;
 }
 
-Recording reading_before(const Recording &after, bool before) {
-    Recording r = after;
-    r.reads_before = before;
+Recording reading_before(const Recording &other, double share) {
+    require(share >= 0.0 && share <= 1.0, "share must be within 0..1");
+    Recording r = other;
+    r.read_before = share;
     return r;
 }
 
@@ -766,15 +767,16 @@ void bind_replay(nb::module_ &m) {
         .def_prop_ro(
             "begun_variance", [](const Recording &r) { return copy_to_numpy(r.begun_variance); },
             "As `Engine.recording` was given it; empty without.")
+        .def_ro("read_before", &Recording::read_before, "As `reading_before` was given it, or 0.")
         .def_prop_ro(
             "untold", [](const Recording &r) { return copy_to_numpy(r.untold); },
             "As `missing` was given it; empty without.")
         .def("rising", &rising, "rise"_a,
              "The same with commands that rise (rows, motors) evenly within each row.")
         .def("commanded", &commanded, "command"_a, "The same with other commands (rows, motors).")
-        .def("reading_before", &reading_before, "before"_a = true,
-             "The same with electric sensors that are read before the command of their row begins, "
-             "or after.")
+        .def("reading_before", &reading_before, "share"_a = 1.0,
+             "The same with electric sensors that are read before the command of their row begins: "
+             "1, after: 0, or show so much of both.")
         .def("warmed", &warmed, "length_s"_a, "cold_current_a2"_a,
              "The same of a robot behind rows of these lengths (rows,) in which cold windings "
              "would have let currents of these squares (rows, motors) through.")

@@ -55,8 +55,9 @@ struct Recording {
     std::vector<double> initial_state;
     double settle_s = kSettleTime_s;
     std::vector<double> rise{}; /* of the command within the row, around its mean; empty: held */
-    /* Whether electric sensors are read before the command of their row begins, not after. */
-    bool reads_before = false;
+    /* Share of the command of the row before in what electric sensors show: 0 if they are read when
+     * that of their own row has begun, 1 if before, and between where nothing tells. */
+    double read_before = 0.0;
     /* Of a robot that stood until the first command began: variances of the initial state, then
      * what those of the disturbances have more [filter state without memory]. Empty: as the noise
      * says, behind a first command that has lasted for long. */

@@ -174,8 +174,7 @@ class KernelOf final : public Kernel {
         S since_[3];
     };
 
-    /* What the sensors show in row k with state and memory x [kAll]; currents flow under the
-     * command that begins there. */
+    /* What the sensors show in row k with state and memory x [kAll]. */
     static void observe(const Plant &plant, const Recording &recording, long k, const S *x,
                         const S *way_since, S *y) {
         const double time_s = recording.time_s[k];
@@ -184,11 +183,15 @@ class KernelOf final : public Kernel {
         else
             plant.output(x, S(time_s), y);
         if constexpr (kElectric > 0) {
-            const long under = recording.reads_before && k > 0 ? k - 1 : k;
-            const Commands commands = logged(plant, recording, under);
             S command[kMotors], dx[kAll];
             Internals in;
-            commands(time_s, time_s, command);
+            logged(plant, recording, k)(time_s, time_s, command);
+            if (recording.read_before > 0.0 && k > 0) {
+                S before[kMotors];
+                logged(plant, recording, k - 1)(time_s, time_s, before);
+                for (int i = 0; i < kMotors; ++i)
+                    command[i] += S(recording.read_before) * (before[i] - command[i]);
+            }
             look(plant, x, command, time_s, dx, in);
             S *electric = y + Plant::kOutputs;
             electric[0] = in.bus_v;

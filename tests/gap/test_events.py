@@ -208,6 +208,45 @@ def test_a_push_long_before_the_row_that_shows_it_is_found_without_a_camera(tmp_
     assert all(abs(impact.time_s - 2.5031) > 0.02 for impact in late)
 
 
+@pytest.mark.parametrize("late_rows", [6, 8])
+def test_a_push_some_rows_before_the_one_that_shows_it_is_found_with_a_camera(
+    tmp_path, monkeypatch, late_rows
+):
+    likeliest, push = events.Jumps.likeliest_row, (7.0, 0.0, 0.0)
+    monkeypatch.setattr(events.Jumps, "likeliest_row", lambda *own: likeliest(*own) + late_rows)
+    (impact,) = found_in(tmp_path, push, friction_curve="tanh")
+    assert impact.time_s == pytest.approx(2.5031, abs=0.015)
+    assert np.hypot(*impact.impulse[:2]) == pytest.approx(7.0, rel=0.2)
+    monkeypatch.setattr(events, "_begun", lambda *_: None)
+    late = found_in(tmp_path / "late", push, friction_curve="tanh")
+    assert all(abs(impact.time_s - 2.5031) > 0.015 for impact in late)
+
+
+def test_of_two_times_of_a_push_the_replay_from_before_both_tells_which(tmp_path, monkeypatch):
+    """Behind a push a filter that knows none is so far off that one 65 ms later gains more."""
+    size_up, peaks = events._size_up, events.peaks
+
+    def gaining(machine, run, row, *others):
+        found = size_up(machine, run, row, *others)
+        if found.time_s < 2.53:
+            return found
+        sure = {"impulse": np.array([7.0, 0.0, 0.0]), "deviation": np.full(3, 0.1)}
+        return replace(found, gain=1e6, misfit=1.0, explained=0.95, **sure)
+
+    monkeypatch.setattr(events, "_size_up", gaining)
+    monkeypatch.setattr(events, "_does_both", lambda *_: False)
+    monkeypatch.setattr(events, "_begun", lambda *_: None)
+    monkeypatch.setattr(events, "HARD_EXPLAINED", -np.inf)
+    monkeypatch.setattr(events, "EXPLAINED", -np.inf)
+    monkeypatch.setattr(events.Jumps, "likeliest_row", lambda _, peak, raised: peak)
+    monkeypatch.setattr(events, "peaks", lambda *own: [q for p in peaks(*own) for q in (p, p + 13)])
+    (impact,) = found_in(tmp_path, (7.0, 0.0, 0.0))
+    assert impact.time_s == pytest.approx(2.5031, abs=0.005)
+    monkeypatch.setattr(events, "_likelier", lambda m, r, one, other, *_: other.gain > one.gain)
+    (late,) = found_in(tmp_path / "late", (7.0, 0.0, 0.0))
+    assert late.time_s > 2.53
+
+
 def test_a_push_that_several_peaks_show_is_told_once(tmp_path, monkeypatch):
     peaks = events.peaks
     monkeypatch.setattr(events, "peaks", lambda *own: [p for p in peaks(*own) for _ in range(2)])

@@ -7,8 +7,9 @@ import pytest
 from omnislip.gap.evaluate import evaluate_model
 from omnislip.gap.first_models import first_models
 from omnislip.gap.machine import Machine
+from omnislip.gap.noise import track_all, tune_noise
 from omnislip.gap.read_before import reading_machine
-from omnislip.gap.recordings import ELECTRIC_CHANNELS, ROBOT_CHANNELS, make_run
+from omnislip.gap.recordings import ELECTRIC_CHANNELS, READ_AMID, ROBOT_CHANNELS, make_run
 from omnislip.gap.words import READ_BEFORE
 from omnislip.log_file import Log, write_log
 from omnislip.model_file import NOMINAL_ROBOT, Effect, read_model, write_model
@@ -21,10 +22,11 @@ ROW_S, ROWS = 0.005, 500
 NOISE = np.array([0.0] * 4 + [5e-3, 1e-3, 1e-3, 1e-3, 0.02] + [0.05] * 4)
 
 
-def shown(machine, duty):
+def shown(machine, duty, read_before=None, row_s=ROW_S):
     """What the sensors of a robot show (rows, outputs) that starts from rest."""
-    t_s, engine = ROW_S * np.arange(len(duty)), machine.engine
+    t_s, engine = row_s * np.arange(len(duty)), machine.engine
     run = machine.recording(t_s, duty, np.zeros((len(duty), engine.outputs)), np.zeros(14))
+    run = run if read_before is None else run.reading_before(read_before)
     none, one = np.zeros(engine.states), np.ones(engine.outputs)
     tracks = engine.track([run], machine.believed, none, one, none)
     return -engine.replays([run], tracks, machine.believed[None], 5e-4, 1e9)[0][0]
@@ -85,6 +87,58 @@ def test_a_current_read_before_is_that_of_the_row_before_at_the_speed_of_now():
     np.testing.assert_allclose(
         (after - before)[1:, 9:], stall_a * np.diff(duty, axis=0), rtol=1e-9, atol=1e-9
     )
+
+
+def test_where_nothing_tells_currents_flow_under_half_of_both_commands():
+    rng = np.random.default_rng(5)
+    duty = rng.uniform(-0.3, 0.3, (40, 4))
+    machine = Machine(read_model(NOMINAL_ROBOT), electric=True)
+    after, amid, before = (shown(machine, duty, share) for share in (0.0, 0.5, 1.0))
+    np.testing.assert_allclose(amid, 0.5 * (after + before), rtol=1e-9, atol=1e-9)
+    with pytest.raises(ValueError, match=r"share must be within 0\.\.1"):
+        shown(machine, duty, 1.5)
+
+
+def test_of_commands_that_move_either_is_read_of_held_ones_what_the_machine_reads():
+    for before in (False, True):
+        machine = Machine(MODEL, electric=True, holds_commands=True, reads_before=before)
+        run = make_run(machine, log_of(2, before=before))
+        moving = run.moving_in_rows()
+        assert moving.recording.read_before == READ_AMID
+        for held in (run, moving.held_in_rows(), moving.set_with_rows()):
+            assert held.recording.read_before == before
+        assert make_run(machine.of(MODEL, holds_commands=False), log_of(2)).recording.read_before
+    assert make_run(MACHINE, log_of(2)).recording.read_before == READ_AMID
+
+
+def test_steps_of_a_loop_at_the_rate_of_a_camera_pull_no_current_one_way():
+    """A set point runs away from what a camera shows, until it shows the next: commands step back
+    every 20 ms, at a tick that as often is before the row's begin as behind it."""
+    rng = np.random.default_rng(6)
+    ticks = np.arange(4000)
+    way = np.sin(2e-3 * np.pi * np.outer(ticks, [0.5, 0.7, 0.9, 1.1]))
+    duty = 0.25 * way + 0.1 * np.sign(way) * ((ticks % 20) / 20.0 - 0.5)[:, None]
+    plain = read_model(NOMINAL_ROBOT)
+    outputs = shown(Machine(plain, electric=True), duty, 1.0, row_s=1e-3)
+    rows = np.arange(0, len(ticks), 5) + rng.integers(-1, 2, len(ticks) // 5)
+    rows[0] = 0
+    mean = np.add.reduceat(duty, rows) / np.diff(rows, append=len(ticks))[:, None]
+    machine = Machine(plain, electric=True)
+    columns = {f"wheel/{w + 1}/duty": mean[:, w] for w in range(4)}
+    columns |= dict(zip((*ROBOT_CHANNELS, *ELECTRIC_CHANNELS), outputs[rows].T, strict=True))
+    for wheel in range(4):
+        columns[ROBOT_CHANNELS[wheel]] *= plain.values["encoder.counts_per_rev"] / (2.0 * np.pi)
+    columns["supply/voltage_v"] += 0.01 * rng.standard_normal(len(rows))
+    run = make_run(machine, Log("loop", 1e-3 * rows, columns))
+    noise = tune_noise(machine, [run], machine.believed)
+    along = np.sign(mean)
+    pulled = []
+    for share in (READ_AMID, 0.0):
+        recording = run.recording.reading_before(share)
+        [track] = track_all(machine, [replace(run, recording=recording)], machine.believed, noise)
+        off_a = track.innovation.reshape(run.outputs.shape)[:, -4:]
+        pulled.append(np.nanmean(off_a * along))
+    assert abs(pulled[0]) < 0.25 * abs(pulled[1])
 
 
 @pytest.mark.parametrize(

@@ -76,13 +76,16 @@ def acts_late(machine: Machine, runs: Sequence[Run], noise: Noise, first: Hypoth
 
 def acting_late(machine: Machine, runs: Sequence[Run]) -> tuple[Machine, list[Run]]:
     """Return machine and runs of a robot that was taken for one that reads before it acts."""
-    machine = machine.of(machine.model, holds_commands=False, reads_before=False)
+    machine = machine.of(machine.model, holds_commands=False)
     return machine, [run.moving_in_rows() for run in _read_after(runs)]
 
 
 def _read_after(runs: Sequence[Run]) -> list[Run]:
     """Return runs as if electric sensors had been read after their row's command began."""
-    return [replace(run, recording=run.recording.reading_before(False)) for run in runs]
+    return [
+        replace(run, reads_before=False, recording=run.recording.reading_before(0.0))
+        for run in runs
+    ]
 
 
 def other_machine(

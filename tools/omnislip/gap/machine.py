@@ -206,7 +206,7 @@ class Machine:
         held = self.holds_commands if holds_commands is None else holds_commands
         before = self.reads_before if reads_before is None else reads_before
         with_rows = self.jumps_with_rows if jumps_with_rows is None else jumps_with_rows
-        return Machine(model, self.electric, held, before, with_rows and held)
+        return Machine(model, self.electric, held, before and held, with_rows and held)
 
     def recording(
         self,

@@ -358,7 +358,7 @@ def separating_manoeuvre(
         if all(np.isnan(run.outputs[:, c]).all() for run in data.runs)
     ]
     # The firmware is fast.
-    machine = machine.of(machine.model, holds_commands=False, reads_before=False)
+    machine = machine.of(machine.model, holds_commands=False)
     rehearsal = Rehearsal(machine, Limits(), blank, _rate_of(data.runs[0]))
     truth = _model_of(machine, final)
     without = final.without(final.place_of(name))

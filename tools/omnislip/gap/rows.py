@@ -16,7 +16,10 @@ innovations may be off, its size free within a normal prior:
                (all of it would pass for the difference of a delay and a lag).
     reading    a current is read at an instant, and means do not tell which command that finds: a
                controller at 1 kHz has set it up to a millisecond ago, always as long in one log,
-               and shakes it from tick to tick by what its sensors count. Three columns leave open
+               and shakes it from tick to tick by what its sensors count. Where it steps between
+               two rows, as at every picture of a camera, a recording has half of both
+               (recordings.py; taken for the row's own that pulls currents the way a robot drives: a
+               null had half as much viscous friction again). Three columns leave open
                by how much of the changes of commands around its row a current is off: of that into
                the row, and of its first and second differences from row to row. (Without them a log
                that lacked nothing had an inductance of 0.1 mH by a gain of 2,400, and 30 % more
