@@ -28,9 +28,11 @@ double squared_change(const Recording &recording, int motors, int k, int motor) 
     return 0.5 * (into * into + out * out);
 }
 
-double squared_change_beside(const Recording &recording, int motors, int k, int motor) {
-    return 0.5 * (squared_change(recording, motors, k - 1, motor) +
-                  squared_change(recording, motors, k, motor));
+double squared_step(const Recording &recording, int motors, int k, int motor) {
+    const double into = change_into(recording, motors, k, motor);
+    const double before = into - change_into(recording, motors, k - 1, motor);
+    const double behind = change_into(recording, motors, k + 1, motor) - into;
+    return 0.5 * (into * into + before * before + behind * behind);
 }
 
 namespace {
@@ -152,7 +154,7 @@ Track track(const Kernel &kernel, const Recording &recording, const double *valu
         for (int i = m - kernel.current_outputs(), motor = 0; i < m; ++i, ++motor) {
             variance[i] = noise.output[static_cast<std::size_t>(i)] +
                           0.25 * noise.unresolved_current *
-                              squared_change_beside(recording, motors, static_cast<int>(k), motor);
+                              squared_step(recording, motors, static_cast<int>(k), motor);
         }
         for (int j = 0; j < m; ++j)
             result.innovation[k * m + j] = measured[j] - predicted[j];

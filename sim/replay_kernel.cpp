@@ -633,7 +633,7 @@ class KernelOf final : public Kernel {
             S variance[kOutputs];
             std::copy_n(output, kOutputs, variance);
             for (int i = 0; i < current_outputs(); ++i) {
-                const double square = squared_change_beside(recording, kMotors, k, i);
+                const double square = squared_step(recording, kMotors, k, i);
                 variance[kOutputs - kMotors + i] += S(0.25 * square) * unresolved_current;
             }
             update<kFilter>(track, k, slope, variance, late, p, apart, total, keep);

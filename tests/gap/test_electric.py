@@ -8,7 +8,7 @@ from omnislip import _core
 from omnislip.gap import plan as planning
 from omnislip.gap.inference import Hypothesis
 from omnislip.gap.machine import Machine
-from omnislip.gap.noise import first_guess
+from omnislip.gap.noise import first_guess, track_recordings
 from omnislip.gap.plan import Limits, Rehearsal
 from omnislip.gap.recordings import ELECTRIC_CHANNELS, ROBOT_CHANNELS, machine_for, make_run
 from omnislip.gap.wiring import mend
@@ -116,6 +116,34 @@ def test_a_reversed_motor_turns_its_current_too():
 
 
 # ---- of use ----
+
+
+@pytest.mark.parametrize(
+    ("changes", "square"),
+    [
+        ([0.02, 0.02, 0.02], 0.5 * 0.02**2),  # moves evenly
+        ([0.0, 0.1, 0.0], 1.5 * 0.1**2),  # steps there
+        ([0.1, 0.0, 0.0], 0.5 * 0.1**2),  # a row before
+        ([0.02, -0.1, 0.01], 0.5 * (0.1**2 + 0.12**2 + 0.11**2)),
+    ],
+)
+def test_what_a_current_is_read_under_is_open_by_the_step_where_its_row_begins(changes, square):
+    machine, rows, read = Machine(MODEL, electric=True), 12, 6
+    duty = np.zeros((rows, 4))
+    duty[read - 1 : read + 2] = np.cumsum(changes)[:, None]
+    duty[read + 2 :] = duty[read + 1]
+    outputs = np.full((rows, machine.engine.outputs), np.nan)
+    outputs[read, -4:] = 0.0
+    recording = machine.recording(5e-3 * np.arange(rows), duty, outputs, np.zeros(14))
+    run = make_run(machine, driven(MODEL, rate_hz=200, sensors=Sensors(current_noise_a=0.05)))
+    known = replace(first_guess(machine, [run]), unresolved_current=0.0)
+    variances = []
+    for noise in (known, replace(known, unresolved_current=40.0)):
+        [track] = track_recordings(machine, [recording], machine.believed, noise, 1e-3)
+        whitening = track.whitening.reshape(rows, *[machine.engine.outputs] * 2)[read, -4:, -4:]
+        inverse = np.linalg.inv(whitening)
+        variances.append(np.diag(inverse @ inverse.T))
+    assert variances[1] - variances[0] == pytest.approx(np.full(4, 0.25 * 40.0 * square))
 
 
 def test_the_noise_of_the_sensors_is_found():
