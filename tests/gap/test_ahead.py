@@ -3,12 +3,13 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from axis_bench import Bench, make_machine, make_runs, silent
 from omnislip.gap.ahead import Ahead, Further
-from omnislip.gap.inference import fit
-from omnislip.gap.judge import SURE_GAIN, Trial
-from omnislip.gap.machine import Machine
+from omnislip.gap.inference import Evidence, fit
+from omnislip.gap.judge import SURE_GAIN, WITHIN_LAW, Trial
+from omnislip.gap.machine import CURVE, Machine
 from omnislip.gap.noise import track_all
 from omnislip.gap.settle import believed_hypothesis, settle
 from omnislip.gap.truth import TruthCase
@@ -187,3 +188,30 @@ def test_answers_within_a_row_are_no_delay_of_some_rows(tmp_path):
     ahead = Ahead(data, current, robot.candidates(), 1, 100, silent)
     assert ahead.far(delay, None) is None
     assert ahead.trials == []
+
+
+@pytest.mark.parametrize("curve", ["rational", "atan"])
+def test_another_law_of_friction_is_found_though_its_first_shape_promises_nothing(tmp_path, curve):
+    """Asked where an effect surely explains something that friction off its law may do too."""
+    case = TruthCase(seed=21007, friction_curve=curve, runs=2)
+    robot, runs, candidates = robot_runs(case, tmp_path)
+    data, current = settle(robot, runs, believed_hypothesis(robot))
+    ahead = Ahead(data, current, robot.candidates(), 1, 100, silent)
+    much = Evidence(2.0 * SURE_GAIN, 1.0, 0.0, np.eye(1))
+    [falls] = [c for c in robot.candidates() if c.name == "grip_falloff"]
+    refused = Trial(1, falls, np.ones(2), much, 0.0, 1.0, True, WITHIN_LAW, False)
+    assert ahead.by_another_law([replace(refused, reason="could be chance")]) is None
+    little = replace(much, gain=0.5 * SURE_GAIN)
+    assert ahead.by_another_law([replace(refused, evidence=little)]) is None
+    assert ahead.trials == []
+    further = ahead.by_another_law([refused])
+    [trial] = ahead.trials
+    assert trial.accepted == (further is not None) == (curve == "rational")
+    if further is not None:
+        [law] = further.fitted.hypothesis.effects
+        assert law.effect == CURVE
+        assert [parameter.label for parameter in law.parameters] == ["blend", "rational"]
+        towards_tanh = fit(data, current.hypothesis.with_effect(candidates[CURVE], [0.1]))
+        assert further.fitted.objective < towards_tanh.objective - 0.5 * SURE_GAIN
+        curved = Ahead(data, further.fitted, robot.candidates(), 2, 100, silent)
+        assert curved.by_another_law([refused]) is None

@@ -11,6 +11,7 @@ from omnislip.gap.judge import (
     AHEAD_GAIN,
     DELAY,
     LEAST_PROMISE,
+    LITTLE_CURVED,
     MOST_EFFECTS,
     SURE_GAIN,
     WITHIN_LAW,
@@ -18,7 +19,7 @@ from omnislip.gap.judge import (
     both_pass,
     judge_candidate,
 )
-from omnislip.gap.machine import Candidate
+from omnislip.gap.machine import CURVE, Candidate
 from omnislip.gap.noise import RunawayError, some_runs, track_all, tuned_likelihood
 from omnislip.gap.recordings import Run
 from omnislip.gap.refit import place_again, refit_quickly
@@ -178,6 +179,39 @@ class Ahead:
         self.trials.append(found.trial)
         size = found.fitted.hypothesis.values_of(len(current.effects))[0]
         return found if found.trial.accepted and size >= sizes[0] else None
+
+    def by_another_law(self, refused: Sequence[Trial]) -> Further | None:
+        """Return the model with the friction curve of another law, if that helps.
+
+        Where an effect explains surely something, but no more than friction is off its law: from
+        that towards tanh, in which direction the curve is screened, may lie nothing of it (a floor
+        of 1 - exp(-x) called unknown in a closed loop, where grip_falloff gained 1,400).
+        """
+        have = {effect.effect for effect in self._current.hypothesis.effects}
+        surely = any(
+            one.reason == WITHIN_LAW and one.evidence.beyond_chance > SURE_GAIN for one in refused
+        )
+        if not surely or CURVE in have:
+            return None
+        self._progress(f"step {self._step}: trying other laws of friction")
+        data, current = self._data, self._current
+        [curve] = [c for c in data.machine.candidates() if c.effect == CURVE]
+        laws = [
+            current.hypothesis.with_effect(curve, [LITTLE_CURVED])
+            .with_effect(refinement, [LITTLE_CURVED])
+            .last_two_joined()
+            for refinement in data.machine.refinements(curve)
+        ]
+        fitted = min(side_by_side(lambda law: fit(data, law), laws), key=lambda one: one.objective)
+        index = len(current.hypothesis.effects)
+        evidence = weigh(data, current, fitted, index)
+        [check] = check_unseen(data, current, [fitted])
+        law = fitted.hypothesis.effects[-1]
+        trial = judge_candidate(
+            data, current, fitted, law, evidence, check, self._step, self._tried
+        )
+        self.trials.append(trial)
+        return Further(data, current, fitted, trial) if trial.accepted else None
 
     def _likelihood(self, hypothesis: Hypothesis, runs: Sequence[Run]) -> float:
         """Logarithm of that of a model's own filter, by the noise that is known."""

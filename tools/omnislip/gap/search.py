@@ -191,7 +191,7 @@ def search(
             reason = f"explains less than {further.trial.candidate.name} far from none"
             found = [(_gives_way(trial, reason), one) for trial, one in found]
         elif accepted is None:
-            further = ahead.best(found, worth)
+            further = ahead.best(found, worth) or ahead.by_another_law([one for one, _ in found])
         trials += [*(trial for trial, _ in found), *ahead.trials]
         if further is not None:
             data, current, accepted = further.data, further.without, further.fitted
