@@ -774,23 +774,18 @@ class Check:
 
     @property
     def helps(self) -> bool:
-        """Whether the sum is positive, and 3 of 4 units gain or all together beyond their scatter.
+        """Whether the sum is positive, and 3 of 4 units gain or the mean beyond their scatter.
 
-        The second is a t-test of the slope of gains over stakes, whose scatter goes with the roots
-        of these: units in which little is at stake, where others of ten times as much agree, have
-        little say. (A friction curve gained 5,300 in four of six units, 40 less in gentle ones.)
+        The second is a t-test.
         """
         if not self.gain > 0 or not self.voters.any():
             return False
         if self.helped >= HELPED_SHARE * np.sum(self.voters):
             return True
-        gains, stakes = self.gains[self.judges], self.stakes[self.judges]
-        deviations = np.sqrt(np.maximum(stakes, LEAST_STAKE))
-        promised, kept = stakes / deviations, gains / deviations
-        slope = (kept @ promised) / (promised @ promised)
-        scatter = np.linalg.norm(kept - slope * promised) / np.sqrt(max(len(gains) - 1, 1))
-        least = student.isf(SCATTER_P_VALUE, max(len(gains) - 1, 1)) * scatter
-        return bool(len(gains) > 1 and slope * np.linalg.norm(promised) > least)
+        gains = self.gains[self.judges]
+        count = len(gains)
+        error = np.std(gains, ddof=1) / np.sqrt(count) if count > 1 else np.inf
+        return self.gain / count > error * student.isf(SCATTER_P_VALUE, max(count - 1, 1))
 
 
 def check_unseen(data: Data, without: Fit, fits: Sequence[Fit]) -> list[Check]:
