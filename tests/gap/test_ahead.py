@@ -191,7 +191,7 @@ def test_answers_within_a_row_are_no_delay_of_some_rows(tmp_path):
 
 
 @pytest.mark.parametrize("curve", ["rational", "atan"])
-def test_another_law_of_friction_is_found_though_its_first_shape_promises_nothing(tmp_path, curve):
+def test_another_law_of_friction_is_found_in_its_own_shape(tmp_path, curve):
     """Asked where an effect surely explains something that friction off its law may do too."""
     case = TruthCase(seed=21007, friction_curve=curve, runs=2)
     robot, runs, candidates = robot_runs(case, tmp_path)

@@ -115,9 +115,6 @@ def test_a_reversed_motor_turns_its_current_too():
         np.testing.assert_array_equal(mended.columns[name], -log.columns[name])
 
 
-# ---- of use ----
-
-
 @pytest.mark.parametrize(
     ("changes", "square"),
     [
@@ -144,6 +141,9 @@ def test_what_a_current_is_read_under_is_open_by_the_step_where_its_row_begins(c
         inverse = np.linalg.inv(whitening)
         variances.append(np.diag(inverse @ inverse.T))
     assert variances[1] - variances[0] == pytest.approx(np.full(4, 0.25 * 40.0 * square))
+
+
+# ---- of use ----
 
 
 def test_the_noise_of_the_sensors_is_found():
