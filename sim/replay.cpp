@@ -111,6 +111,8 @@ Track track(const Kernel &kernel, const Recording &recording, const double *valu
         result.replay_variance.assign(rows * m, 0.0);
     result.push.assign(rows * n * q, 0.0);
     result.decay.assign(rows, 0.0);
+    result.pushed = kernel.pushed(loaded.get(), result.memory);
+    const Matrix pushed = Eigen::Map<const Matrix>(result.pushed.data(), n, q);
     if (keep_linear) {
         result.transition.assign(rows * all * all, 0.0);
         result.slope.assign(rows * m * all, 0.0);
@@ -179,11 +181,7 @@ Track track(const Kernel &kernel, const Recording &recording, const double *valu
         const double duration_s = recording.time_s[k + 1] - recording.time_s[k];
         kernel.linearise(loaded.get(), recording, static_cast<int>(k), step_s, moved, x.data(),
                          next.data(), moves.data());
-        for (int c = 0; c < q; ++c) {
-            const int pushed = kernel.pushed_states()[c];
-            push.col(c) = 0.5 * duration_s * moves.col(pushed);
-            push(pushed, c) += 0.5 * duration_s;
-        }
+        push = 0.5 * duration_s * (moves * pushed + pushed);
         const double decay = std::exp(-duration_s * noise.colour_rate_1_s);
         transition.topLeftCorner(n, n) = moves;
         transition.topRightCorner(n, q) = push;
@@ -204,10 +202,12 @@ Track track(const Kernel &kernel, const Recording &recording, const double *valu
                       &result.transition[k * all * all]);
         grown = (process * duration_s).asDiagonal();
         for (int i = 0; q > 0 && i < motors; ++i) {
+            const Vector kick = pushed.col(i);
+            grown += process[i] * duration_s * (kick * kick.transpose());
+            grown(i, i) -= process[i] * duration_s;
             const int row = static_cast<int>(k);
             const double lost = recording.untold_in(k) * change_into(recording, motors, row + 1, i);
-            Vector end = Vector::Zero(n);
-            end[kernel.pushed_states()[i]] = duration_s;
+            const Vector end = duration_s * pushed.col(i);
             const Vector begin = 2.0 * push.col(i) - end, late = (end - begin) / 12.0;
             grown += 0.5 * lost * lost * (begin * begin.transpose() + end * end.transpose()) +
                      noise.unresolved * squared_change(recording, motors, row, i) * late *

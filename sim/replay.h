@@ -22,12 +22,16 @@
  * the disturbance; a filter that takes every row's push for a new one then sees commands work late
  * and feigns lags. The state of the filter therefore holds, after the states of the plant, the
  * disturbance d_i of each pushed state's rate, of first order: d_(k+1) = exp(-rate T) d_k + noise.
- * Over a row it moves the state by push_k d_k, push_k = T / 2 (1 + transition_k) of those states.
+ * Over a row it moves the state by push_k d_k, push_k = T / 2 (pushed + transition_k pushed).
  *
  * A model with memory (memory.h) carries it from row to row. What bristles hold pulls at wheels and
- * body for longer than a row and depends on how they moved: there the filter corrects the memory as
- * well, else its corrections of speeds shake what it does not see. The state of the filter is the
- * plant's, such memory, and the disturbances.
+ * body for longer than a row and depends on how they moved, and so does the twist of a shaft that
+ * is a spring: there the filter corrects the memory as well, else its corrections of speeds shake
+ * what it does not see. (Those of a motor then moved its wheel, too. A shaft of damping ratio 0.12
+ * swung without end beside its own logs and passed for one of twice the damping; with its twist
+ * corrected these were likelier by exp(17,600).) Not beside play, whose kinks no slope describes.
+ * The state of the filter is the plant's, such memory, and the disturbances. What pushes a motor on
+ * a spring leaves its wheel as fast as it was: pushed = speed - slack / n.
  *
  * Parameter sets (noises) run in SIMD lanes and on all cores. Layouts are row major:
  * command [row][motor], output [row][output], gain [row][filter state][output],
@@ -110,6 +114,7 @@ struct Track {
     std::vector<double> innovation;          /* [row][output], NaN where not sampled */
     std::vector<double> correction_variance; /* [row][filter state], of gain * innovation */
     std::vector<double> replay_variance; /* [row][output] expected of a replay's error, if asked */
+    std::vector<double> pushed;          /* [state or memory][disturbance] what it is the rate of */
     std::vector<double> push;            /* [row][state or memory][disturbance] to the next row */
     std::vector<double> decay;           /* [row] of the disturbances to the next row */
     std::vector<double> transition;      /* [row][filter state][filter state], if kept */
@@ -137,10 +142,8 @@ class Kernel {
     virtual int lanes() const = 0;
     virtual int states() const = 0;
     virtual int states_and_memory() const = 0;
-    /* States whose rate is disturbed, and their numbers. The filter has states(), the memory that
-     * it corrects, and pushes(). */
+    /* Disturbances. The filter has states(), the memory that it corrects, and pushes(). */
     virtual int pushes() const = 0;
-    virtual const int *pushed_states() const = 0;
     virtual int outputs() const = 0;
     virtual int motors() const = 0;
     /* How many of the outputs are motor currents; they come last. */
@@ -155,6 +158,10 @@ class Kernel {
     virtual void settle(const void *loaded, const Recording &recording, double *state) const = 0;
     /* Places of the memory that the filter corrects. */
     virtual std::vector<int> filtered_memory(const void *loaded) const = 0;
+    /* What each disturbance is the rate of [state or memory][disturbance]: one state, of a motor
+     * on a spring also the slack, for its wheel goes on as it was. */
+    virtual std::vector<double> pushed(const void *loaded,
+                                       const std::vector<int> &memory) const = 0;
     /* From row `row` to the next: next [states_and_memory], transition [moved][moved]. `moved` are
      * the places of states and filtered memory. */
     virtual void linearise(const void *loaded, const Recording &recording, int row, double step_s,
@@ -245,9 +252,10 @@ void replays(const Kernel &kernel, const std::vector<const Recording *> &recordi
              double window_s, const std::vector<double *> &errors);
 
 /* What pushes change of the whitened innovations, response [row][output][column]; `track` kept its
- * matrices. `push` [row][filter state][column] are rates from each row to the next, `shown`
- * [row][output][column] what sensors show besides. With the transition F, output slope H and gain K
- * of the track, the error d of the prediction, 0 at first, obeys
+ * matrices. `push` [row][filter state][column] are rates from each row to the next, what is pushed
+ * of the memory along with a motor (Track::pushed) understood; `shown` [row][output][column] is
+ * what sensors show besides. With the transition F, output slope H and gain K of the track, the
+ * error d of the prediction, 0 at first, obeys
  *     e_k = shown_k - H_k d_k,   d_(k+1) = F_k (d_k + K_k e_k + push_k T / 2) + push_k T / 2. */
 void respond(const Kernel &kernel, const Recording &recording, const Track &track,
              const double *push, const double *shown, int columns, double *response);

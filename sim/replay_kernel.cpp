@@ -291,9 +291,6 @@ class KernelOf final : public Kernel {
     int pushes() const override {
         return kPushes;
     }
-    const int *pushed_states() const override {
-        return kPushed;
-    }
     int outputs() const override {
         return kOutputs;
     }
@@ -327,12 +324,31 @@ class KernelOf final : public Kernel {
             state[i] = lane(x[i], 0);
     }
 
+    std::vector<double> pushed(const void *loaded_set,
+                               const std::vector<int> &memory) const override {
+        std::vector<double> all((kStates + memory.size()) * kPushes, 0.0);
+        for (int c = 0; c < kPushes; ++c)
+            all[kPushed[c] * kPushes + c] = 1.0;
+        if constexpr (Plant::kKind == kRobot) {
+            const Plant &plant = static_cast<const Loaded *>(loaded_set)->plant;
+            const double ratio = lane(plant.constants().gear_ratio, 0);
+            for (std::size_t k = 0; k < memory.size(); ++k) {
+                const int motor = memory[k] - Plant::kSlack;
+                if (0 <= motor && motor < kMotors)
+                    all[(kStates + k) * kPushes + motor] = -1.0 / ratio;
+            }
+        }
+        return all;
+    }
+
     std::vector<int> filtered_memory(const void *loaded_set) const override {
         const Plant &plant = static_cast<const Loaded *>(loaded_set)->plant;
         std::vector<int> memory;
         if constexpr (Plant::kKind == kRobot) {
             for (int i = 0; plant.has_bristles() && i < kMotors; ++i)
                 memory.push_back(Plant::kGrip + i);
+            for (int i = 0; plant.has_springs() && i < kMotors; ++i)
+                memory.insert(memory.end(), {Plant::kSlack + i, Plant::kTwist + i});
         }
         return memory;
     }
@@ -411,14 +427,14 @@ class KernelOf final : public Kernel {
     }
 
     void carry_covariance(const double *transition, int filter_states, double *p) const override {
-        by_memory(filter_states > kStates + kPushes,
+        by_memory(filter_states - kStates - kPushes,
                   [&](auto memory) { carry_covariance_with<memory.value>(transition, p); });
     }
 
     double correct_by(const double *innovation, const double *slope, const double *variance,
                       const double *late, int filter_states, double *estimate, double *p,
                       double *gain, double *whitening, double *correction_variance) const override {
-        return by_memory(filter_states > kStates + kPushes, [&](auto memory) {
+        return by_memory(filter_states - kStates - kPushes, [&](auto memory) {
             return correct_with<memory.value>(innovation, slope, variance, late, estimate, p, gain,
                                               whitening, correction_variance);
         });
@@ -488,14 +504,14 @@ class KernelOf final : public Kernel {
 
     void respond(const Recording &recording, const Track &track, const double *push,
                  const double *shown, int columns, int first, double *response) const override {
-        by_memory(!track.memory.empty(), [&](auto memory) {
+        by_memory(static_cast<int>(track.memory.size()), [&](auto memory) {
             respond_with<memory.value>(recording, track, push, shown, columns, first, response);
         });
     }
 
     void likelihoods(const Recording &recording, const Track &track, const Noise *noises, int count,
                      double *log_likelihood, double *covariance, int width) const override {
-        by_memory(!track.memory.empty(), [&](auto memory) {
+        by_memory(static_cast<int>(track.memory.size()), [&](auto memory) {
             likelihoods_with<memory.value>(recording, track, noises, count, log_likelihood,
                                            covariance, width);
         });
@@ -526,11 +542,16 @@ class KernelOf final : public Kernel {
     }
 
   private:
-    /* work(memory), with the number of places of memory that the filter corrects as its value. */
+    /* work(memory), with the number of places of memory that the filter corrects as its value:
+     * none, of bristles, of springs, or of both. */
     template <class Work>
-    static auto by_memory(bool corrected, Work &&work) {
+    static auto by_memory(int corrected, Work &&work) {
         if constexpr (Plant::kKind == kRobot) {
-            if (corrected)
+            if (corrected == 3 * kMotors)
+                return work(std::integral_constant<int, 3 * kMotors>{});
+            if (corrected == 2 * kMotors)
+                return work(std::integral_constant<int, 2 * kMotors>{});
+            if (corrected == kMotors)
                 return work(std::integral_constant<int, kMotors>{});
         }
         return work(std::integral_constant<int, 0>{});
@@ -569,6 +590,11 @@ class KernelOf final : public Kernel {
             const double half_s = 0.5 * (recording.time_s[k + 1] - recording.time_s[k]);
             for (int i = 0; i < kFilter; ++i) {
                 pushed[i] = S(half_s) * read(push, k * kFilter + i);
+            }
+            for_pushed_memory<kMemory>(track, [&](int i, int motor, double share) {
+                pushed[i] += S(share) * pushed[motor];
+            });
+            for (int i = 0; i < kFilter; ++i) {
                 moved[i] = error[i] + pushed[i];
                 for (int a = 0; a < sampled.count(); ++a)
                     moved[i] += S(track.gain[(k * kFilter + i) * kOutputs + sampled[a]]) * seen[a];
@@ -652,6 +678,8 @@ class KernelOf final : public Kernel {
             carry<kFilter>(track, k, decay, p, apart);
             for (int i = 0; i < kStates; ++i)
                 p[i][i] += process[i] * S(duration_s);
+            if constexpr (kMemory > 0)
+                add_kicks<kFilter>(track, duration_s, process, p);
             const S renewed = S(1.0) - decay * decay;
             for (int c = 0; c < kPushes; ++c) {
                 for (int other = 0; other < kPushes; ++other)
@@ -662,6 +690,30 @@ class KernelOf final : public Kernel {
         }
         for (int i = 0; i < count; ++i)
             log_likelihood[i] += lane(total, i);
+    }
+
+    /* What is pushed of the memory along with a motor: entry (i, motor) of Track::pushed. */
+    template <int kMemory, class Work>
+    static void for_pushed_memory(const Track &track, Work &&work) {
+        for (int i = kStates; i < kStates + kMemory; ++i) {
+            for (int motor = 0; motor < kMotors; ++motor) {
+                const double share = track.pushed[i * kPushes + motor];
+                if (share != 0.0)
+                    work(i, motor, share);
+            }
+        }
+    }
+
+    /* P grows by kicks of the motors also where these move memory. A place goes with one motor. */
+    template <int kFilter>
+    static void add_kicks(const Track &track, double duration_s, const S *process,
+                          S (&p)[kFilter][kFilter]) {
+        for_pushed_memory<kFilter - kStates - kPushes>(track, [&](int i, int motor, double share) {
+            const S kick = process[motor] * S(duration_s * share);
+            p[i][motor] += kick;
+            p[motor][i] += kick;
+            p[i][i] += kick * S(share);
+        });
     }
 
     /* P grows from row k to the next by what the row's mean does not tell of the commands. */
@@ -677,7 +729,7 @@ class KernelOf final : public Kernel {
             const S square = unresolved * S(squared_change(recording, kMotors, k, motor));
             double begin[kMoved], end[kMoved], late[kMoved];
             for (int i = 0; i < kMoved; ++i) {
-                end[i] = i == motor ? duration_s : 0.0;
+                end[i] = duration_s * track.pushed[i * kPushes + motor];
                 begin[i] = 2.0 * push[i * kPushes] - end[i];
                 late[i] = (end[i] - begin[i]) / 12.0;
             }

@@ -269,6 +269,10 @@ class RobotPlant : public RobotLayout {
     bool has_bristles() const {
         return bristles_;
     }
+    /* Whether all gears are springs, without play. */
+    bool has_springs() const {
+        return springs_;
+    }
     /* Whether the camera shows the pose of another moment than the row's, and how late. */
     bool shows_late() const {
         return shows_late_;
@@ -357,7 +361,9 @@ class RobotPlant : public RobotLayout {
             any_lane_differs(c_.pose_delay_s, 0.0) || any_lane_differs(c_.clock_fraction, 0.0);
         inductive_ = any_differs(c_.inductance_h, 4, 0.0);
         bristles_ = any_differs(c_.bristle_length_m, 4, 0.0);
-        soft_ = any_differs(c_.play_rad, 4, 0.0) || any_differs(c_.stiffness_nm_rad, 4, kUnbounded);
+        const bool plays = any_differs(c_.play_rad, 4, 0.0);
+        springs_ = any_differs(c_.stiffness_nm_rad, 4, kUnbounded) && !plays;
+        soft_ = springs_ || plays;
         heats_ = any_differs(c_.heating_1_a2_s, 4, 0.0);
         lags_ = any_differs(c_.driver_lag_s, 4, 0.0);
         memory_.clear();
@@ -943,7 +949,7 @@ class RobotPlant : public RobotLayout {
     S per_driver_lag_s_[4], per_bristle_m_[4];
     MemoryPlaces<kAll - kStates> memory_;
     bool delays_ = false, remembers_ = false, lags_ = false, inductive_ = false;
-    bool heats_ = false, bristles_ = false, soft_ = false, shows_late_ = false;
+    bool heats_ = false, bristles_ = false, soft_ = false, springs_ = false, shows_late_ = false;
 };
 
 }  // namespace OMNISLIP_INSTRUCTION_SET

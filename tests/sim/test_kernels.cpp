@@ -302,6 +302,24 @@ static void linearised_row_knows_what_bristles_hold(void) {
     rows_slope_is_the_plants(RobotModel().effect("bristle_relaxation", "length_m", 2e-3), 4);
 }
 
+static void linearised_row_knows_how_springs_are_twisted(void) {
+    RobotModel springs = RobotModel()
+                             .effect("shaft_compliance", "stiffness_nm_rad", 40.0)
+                             .effect("shaft_compliance", "damping_nm_s_rad", 0.02);
+    rows_slope_is_the_plants(springs, 8);
+    springs.effect("bristle_relaxation", "length_m", 2e-3);
+    rows_slope_is_the_plants(springs, 12);
+}
+
+/* What no slope describes the filter leaves alone. */
+static void play_is_not_corrected(void) {
+    const std::unique_ptr<Kernel> kernel = make_kernel(0, 8);
+    const RobotModel model = RobotModel()
+                                 .effect("shaft_compliance", "stiffness_nm_rad", 40.0)
+                                 .effect("gear_backlash", "angle_rad", 0.02);
+    TEST_ASSERT_TRUE(kernel->filtered_memory(kernel->load(model.flat.data()).get()).empty());
+}
+
 int main(void) {
     UNITY_BEGIN();
     RUN_TEST(arc_tangent_is_right_to_two_units_of_the_last_digit);
@@ -313,5 +331,7 @@ int main(void) {
     RUN_TEST(kernel_describes_the_plant);
     RUN_TEST(linearised_row_is_the_slope_of_the_plant);
     RUN_TEST(linearised_row_knows_what_bristles_hold);
+    RUN_TEST(linearised_row_knows_how_springs_are_twisted);
+    RUN_TEST(play_is_not_corrected);
     return UNITY_END();
 }
