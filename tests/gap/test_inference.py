@@ -478,6 +478,9 @@ HIGH, LOW = 4.0 * LEAST_STAKE, 0.5 * LEAST_STAKE
         ([9.0, 8.0, -1.0, -1.0], [HIGH, HIGH, LOW, LOW], True),  # these two have no vote
         ([9.0, 8.0, -9.0, -9.0], [HIGH, HIGH, LOW, LOW], False),  # but they count
         ([1.0, 1.0, 1.0, 1.0], [LOW] * 4, False),
+        ([900.0, 800.0, -9.0, -9.0], [1e3, 1e3, 9.0, 9.0], True),  # nor where it hardly shows
+        ([900.0, 800.0, -9.0, -9.0], [1e3, 1e3, 12.0, 12.0], False),
+        ([900.0, 800.0, -900.0, -900.0], [1e3, 1e3, 9.0, 9.0], False),
         ([9.0] * 20 + [-1.0] * 10, [HIGH] * 30, True),  # beyond the scatter
         ([9.0] * 20 + [-15.0] * 10, [HIGH] * 30, False),
     ],
