@@ -18,6 +18,8 @@ from omnislip.gap.find import find_gap
 from omnislip.gap.findings import to_json, write_results
 from omnislip.gap.machine import Machine
 from omnislip.gap.metrics import Closed, Left
+from omnislip.gap.noise import RunawayError
+from omnislip.gap.search import Found, MistakenError
 from omnislip.gap.truth import TruthCase, write_case
 from omnislip.gap.truth_effects import HiddenEffect, typical_effect
 from omnislip.gap.words import HELD_COMMANDS
@@ -390,17 +392,23 @@ def test_names_that_close_nothing_on_held_out_runs_are_not_given(
 def test_commands_are_asked_again_by_a_better_model(tmp_path, monkeypatch, first, final, held):
     """Searched again, with runs to match, only where the first answer was surely wrong.
 
-    A first model of one tuning is asked, and one of three where that is not sure.
+    A first model of one tuning is asked, and one of three where that is not sure. Pushes are looked
+    for beside what was found.
     """
-    answers, searched = first[::-1], []
-    looked = find.search
+    answers, searched, beside = first[::-1], [], []
+    looked, pushes_beside = find.search, find._pushes_beside
 
     def search(machine, runs, *rest):
         assert {run.held for run in runs} == {machine.holds_commands}
         searched.append(machine.holds_commands)
         return looked(machine, runs, *rest)
 
+    def pushes(machine, logs, cuts, model, noise):
+        beside.append({effect.name for effect in model.effects})
+        return pushes_beside(machine, logs, cuts, model, noise)
+
     monkeypatch.setattr(find, "search", search)
+    monkeypatch.setattr(find, "_pushes_beside", pushes)
     monkeypatch.setattr(
         first_models, "likelier_held", lambda *_: answers.pop() if answers else final
     )
@@ -408,9 +416,50 @@ def test_commands_are_asked_again_by_a_better_model(tmp_path, monkeypatch, first
     write_case(TruthCase(seed=4, effects=(weak,), runs=3, run_duration_s=3.0), tmp_path)
     findings = find_gap(tmp_path / "robot.toml", sorted(tmp_path.glob("run_*.csv")), silent)
     assert (searched, answers) == (held, [])
+    assert beside[0] == {"contact_shape"} and len(beside) == len(held)
+    assert all("weak_motor (wheel 2)" in model for model in beside[1:])
     assert findings.machine.holds_commands == held[-1]
     assert findings.outcome.data.machine.holds_commands == held[-1]
     assert (HELD_COMMANDS in findings.recording) == held[-1]
+
+
+def test_what_was_found_is_nothing_where_it_loses_the_robot(monkeypatch):
+    def lost(*_):
+        raise RunawayError
+
+    found = Found(None, None, {}, ())
+    monkeypatch.setattr(find, "first_model", lost)
+    assert find._anew(None, [], found) is None
+    monkeypatch.setattr(find, "first_model", lambda *_: ("noise", "model"))
+    assert find._anew(None, [], found) == replace(found, model="model", noise="noise")
+
+
+def test_turns_to_another_machine_cost_no_search_for_pushes(monkeypatch):
+    """Two turns, then a push that shows only beside the final model, and one more behind that."""
+    outcomes, turns = [], [True, True]
+    found = Found(SimpleNamespace(effects=()), None, {}, ())
+    machine = SimpleNamespace(holds_commands=True, reads_before=False)
+    push = [SimpleNamespace(run="run", time_s=t, near=lambda other: False) for t in (1.0, 2.0)]
+
+    def search(*given):
+        if turns.pop() if turns else False:
+            raise MistakenError(found, machine)
+        outcomes.append(given)
+        return SimpleNamespace(found=found)
+
+    first = SimpleNamespace(without_effects=lambda: None)
+    split = SimpleNamespace(enough=True, thinned="", fitting=[])
+    monkeypatch.setattr(find, "split_runs", lambda *_: split)
+    monkeypatch.setattr(find, "first_models", lambda *_: (machine, None, first))
+    monkeypatch.setattr(find, "first_model", lambda *_: (None, first))
+    monkeypatch.setattr(find, "taken_as", lambda *_: [])
+    monkeypatch.setattr(find, "search", search)
+    monkeypatch.setattr(find, "_pushes_beside", lambda *_: ([], []))
+    monkeypatch.setattr(find, "_pushes_by", lambda *_: push[: len(outcomes)])
+    monkeypatch.setattr(find, "_by_lost_rows", lambda logs, impacts: (impacts, []))
+    recorded = SimpleNamespace(machine=machine, logs=[], cuts=[], told=[])
+    find._search(recorded, lambda _: None)
+    assert len(outcomes) == 1 + find.MOST_AGAIN and not turns
 
 
 @pytest.mark.parametrize(("effects", "again"), [(0, False), (1, False), (2, True), (3, True)])
