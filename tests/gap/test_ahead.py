@@ -130,6 +130,29 @@ def test_bristles_are_found_each_size_by_noise_that_fits_it(tmp_path, length_m):
         assert found == []
 
 
+SPRING = HiddenEffect("shaft_compliance", {"stiffness_nm_rad": 36.0, "damping_nm_s_rad": 0.04})
+COGGING = {"torque_nm": 0.02, "cycles_per_rev": 2.0, "phase_rad": 0.4}
+
+
+@pytest.mark.parametrize("hidden", [SPRING, HiddenEffect("cogging", COGGING), None])
+def test_springs_are_looked_for_where_shafts_are_shaken_by_noise_that_fits_each(tmp_path, hidden):
+    """By that of stiff shafts the truth is less likely than these. Cogging shakes shafts, too."""
+    effects = (hidden.as_dict(),) if hidden else ()
+    robot, runs, _ = robot_runs(TruthCase(seed=21007, effects=effects, runs=2), tmp_path)
+    data, current = settle(robot, runs, believed_hypothesis(robot))
+    told = []
+    ahead = Ahead(data, current, robot.candidates(), 1, 100, told.append)
+    further = ahead.springs(None)
+    assert ("step 1: looking for springs" in told) == (hidden is not None)
+    if hidden is SPRING:
+        stiffness, damping, load_share = further.fitted.hypothesis.values_of(0)
+        assert (stiffness, damping) == pytest.approx(tuple(SPRING.parameters.values()), rel=0.05)
+        assert load_share == pytest.approx(0.2, rel=0.05)
+    else:
+        assert further is None
+        assert ahead.trials == []
+
+
 @pytest.mark.parametrize(
     ("gain", "promise", "much"), [(150.0, 20.0, False), (250.0, 20.0, True), (10.0, 250.0, True)]
 )

@@ -186,6 +186,8 @@ def search(
         ahead = Ahead(data, current, candidates, step, tried, progress)
         # By the filter of a model without them some effects promise nothing.
         far = [ahead.far(c, accepted) for c in candidates if c.effect in (DELAY, *FAR_SIZES)]
+        if accepted is None or not current.hypothesis.effects:
+            far.append(ahead.springs(accepted))
         further = max(filter(None, far), key=Further.gain, default=None)
         if further is not None:
             reason = f"explains less than {further.trial.candidate.name} far from none"
