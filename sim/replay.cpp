@@ -201,10 +201,11 @@ Track track(const Kernel &kernel, const Recording &recording, const double *valu
             std::copy(transition.data(), transition.data() + all * all,
                       &result.transition[k * all * all]);
         grown = (process * duration_s).asDiagonal();
+        if (q > 0)
+            grown.topLeftCorner(motors, motors).setZero();
         for (int i = 0; q > 0 && i < motors; ++i) {
             const Vector kick = pushed.col(i);
             grown += process[i] * duration_s * (kick * kick.transpose());
-            grown(i, i) -= process[i] * duration_s;
             const int row = static_cast<int>(k);
             const double lost = recording.untold_in(k) * change_into(recording, motors, row + 1, i);
             const Vector end = duration_s * pushed.col(i);

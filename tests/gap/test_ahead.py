@@ -136,12 +136,19 @@ COGGING = {"torque_nm": 0.02, "cycles_per_rev": 2.0, "phase_rad": 0.4}
 
 @pytest.mark.parametrize("hidden", [SPRING, HiddenEffect("cogging", COGGING), None])
 def test_springs_are_looked_for_where_shafts_are_shaken_by_noise_that_fits_each(tmp_path, hidden):
-    """By that of stiff shafts the truth is less likely than these. Cogging shakes shafts, too."""
+    """By that of stiff shafts the truth is less likely than these. Cogging shakes shafts, too.
+
+    They may have been in the model before, with the share of the inertia behind them.
+    """
     effects = (hidden.as_dict(),) if hidden else ()
-    robot, runs, _ = robot_runs(TruthCase(seed=21007, effects=effects, runs=2), tmp_path)
+    case = TruthCase(seed=21007, effects=effects, runs=2)
+    robot, runs, candidates = robot_runs(case, tmp_path)
     data, current = settle(robot, runs, believed_hypothesis(robot))
+    dropped = current.hypothesis.with_effect(candidates["shaft_compliance"], [30.0, 0.05])
+    for share in robot.refinements(candidates["shaft_compliance"]):
+        dropped = dropped.with_effect(share, [0.2]).last_two_joined()
     told = []
-    ahead = Ahead(data, current, robot.candidates(), 1, 100, told.append)
+    ahead = Ahead(data, current, [dropped.effects[-1]], 1, 100, told.append)
     further = ahead.springs(None)
     assert ("step 1: looking for springs" in told) == (hidden is not None)
     if hidden is SPRING:
@@ -151,6 +158,7 @@ def test_springs_are_looked_for_where_shafts_are_shaken_by_noise_that_fits_each(
     else:
         assert further is None
         assert ahead.trials == []
+    assert Ahead(data, current, [], 1, 100, told.append).springs(None) is None
 
 
 @pytest.mark.parametrize(

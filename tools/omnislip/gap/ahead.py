@@ -200,20 +200,17 @@ class Ahead:
         """
         data, current = self._data, self._current.hypothesis
         machine = data.machine
-        candidate = next((c for c in self._candidates if c.effect == SPRING), None)
-        if machine.kind != "robot" or candidate is None:
+        if machine.kind != "robot" or SPRING not in {c.effect for c in self._candidates}:
             return None
         shaken_rad_s2 = float(np.sqrt(data.noise.coloured[0, 0]))
         if shaken_rad_s2 < SHAKEN * stall_acceleration_rad_s2(machine):
             return None
         self._progress(f"step {self._step}: looking for springs")
+        [candidate] = [c for c in machine.candidates() if c.effect == SPRING]
         [share] = machine.refinements(candidate)
         values = machine.model.values
         inertia = values["motor.inertia_kg_m2"] * values["motor.gear_ratio"] ** 2
-        scale, usual = (
-            candidate.parameters[0].scale,
-            machine.believed[share.parameters[0].places[0]],
-        )
+        usual = machine.believed[share.parameters[0].places[0]]
 
         def sprung(stiffness: float, load_share: float) -> Hypothesis:
             reduced = load_share * (1.0 - load_share) * inertia
@@ -227,6 +224,7 @@ class Ahead:
             found = side_by_side(lambda model: _by_own_noise(data, model, [run]), models)
             return max(map(_Likely, found, models), key=lambda one: one.likelihood)
 
+        scale = candidate.parameters[0].scale
         best = likeliest([sprung(scale * size, usual) for size in STIFFNESSES])
         stiffness = best.model.values_of(-1)[0]
         beside = [
