@@ -483,6 +483,18 @@ HIGH, LOW = 4.0 * LEAST_STAKE, 0.5 * LEAST_STAKE
         ([900.0, 800.0, -900.0, -900.0], [1e3, 1e3, 9.0, 9.0], False),
         ([9.0] * 20 + [-1.0] * 10, [HIGH] * 30, True),  # beyond the scatter
         ([9.0] * 20 + [-15.0] * 10, [HIGH] * 30, False),
+        # what is at stake in the gentle runs is a hundredth of the others'
+        (
+            [1650.0, 965.0, 1290.0, 1470.0, -15.0, -24.0],
+            [1700.0, 980.0, 1400.0, 1450.0] + [12.0] * 2,
+            True,
+        ),
+        (
+            [600.0, 965.0, -300.0, 900.0, -150.0, -24.0],
+            [1700.0, 980.0, 1400.0, 1450.0] + [120.0] * 2,
+            False,
+        ),
+        ([900.0, -10.0, -10.0, -10.0], [1000.0] + [20.0] * 3, False),  # a single run's
     ],
 )
 def test_most_of_the_runs_in_which_something_is_at_stake_have_to_gain(gains, stakes, helps):

@@ -210,8 +210,8 @@ def _impacts_in(machine: Machine, run: Run, values: Array, noise: Noise) -> list
                 for later_s in (SPAN_S / 2.0, SPAN_S):
                     behind = int(np.searchsorted(run.t_s[:-2], foreseen_s + later_s))
                     later = _size_up(machine, run, behind, values, noise, filtered, jump[behind])
-                    shows = later.confirmed and not impact.confirmed
-                    if shows or later.misfit < impact.misfit:
+                    confirms = later.confirmed and not impact.confirmed
+                    if confirms or later.misfit < impact.misfit:
                         row, impact = behind, later
             elif impact.time_s < run.t_s[row] - SPAN_S * (1.0 - 2.0 / TIMES):
                 begun = _begun(machine, run, pushes, peak, row, values, noise, filtered, unseen)

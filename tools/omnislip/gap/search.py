@@ -186,7 +186,7 @@ def search(
         ahead = Ahead(data, current, candidates, step, tried, progress)
         # By the filter of a model without them some effects promise nothing.
         far = [ahead.far(c, accepted) for c in candidates if c.effect in (DELAY, *FAR_SIZES)]
-        if accepted is None or not current.hypothesis.effects:
+        if accepted is None or not current.hypothesis.effects:  # what was named hides springs
             far.append(ahead.springs(accepted))
         further = max(filter(None, far), key=Further.gain, default=None)
         if further is not None:
