@@ -794,6 +794,7 @@ void bind_replay(nb::module_ &m) {
         .def_prop_ro("transition", [](const Track &t) { return copy_to_numpy(t.transition); })
         .def_prop_ro("slope", [](const Track &t) { return copy_to_numpy(t.slope); })
         .def_prop_ro("gain", [](const Track &t) { return copy_to_numpy(t.gain); })
+        .def_prop_ro("push", [](const Track &t) { return copy_to_numpy(t.push); })
         .def_prop_ro("correction_variance",
                      [](const Track &t) { return copy_to_numpy(t.correction_variance); })
         .def_prop_ro("replay_variance",

@@ -1,5 +1,7 @@
 """Balances in weak form: exact where the sums are exact, and each blind to what it says it is."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -8,9 +10,10 @@ from omnislip.gap.balances import CENTRES_S, HALF_S, Bumps, find_balances
 from omnislip.gap.machine import Machine
 from omnislip.gap.metrics import replay_all
 from omnislip.gap.noise import first_guess
+from omnislip.gap.recordings import rim_m_per_rad, wheel_jacobian
 from omnislip.gap.truth import TruthCase
 from omnislip.gap.truth_effects import HiddenEffect
-from omnislip.model_file import NOMINAL_ROBOT, read_model
+from omnislip.model_file import NOMINAL_ROBOT, Effect, read_model
 from truth_bench import runs_of
 
 MACHINE = Machine(read_model(NOMINAL_ROBOT))
@@ -86,8 +89,11 @@ def test_one_sample_says_nothing():
 WHEELS = {f"wheel {k}: torque" for k in range(1, 5)}
 
 
-def left_by(*effects):
-    """What the balances of the true keys leave on quiet logs with these effects: {name: rms}."""
+def left_by(*effects, machine=MACHINE):
+    """What the balances of the true keys leave on quiet logs with these effects: {name: rms}.
+
+    The model has none of them, but for those that `machine` has.
+    """
     truth = TruthCase(
         seed=5,
         effects=tuple(effect.as_dict() for effect in effects),
@@ -96,9 +102,9 @@ def left_by(*effects):
         base_offset_sd=0.0,
         noise_level=0.2,
     )
-    runs = runs_of(MACHINE, truth)
-    noise, sets = first_guess(MACHINE, runs), [MACHINE.believed]
-    found = find_balances(MACHINE, replay_all(MACHINE, runs, noise, sets), noise, sets)
+    runs = runs_of(machine, truth)
+    noise, sets = first_guess(machine, runs), [machine.believed]
+    found = find_balances(machine, replay_all(machine, runs, noise, sets), noise, sets)
     return {one.name: float(one.rms[0]) for one in found}
 
 
@@ -107,32 +113,65 @@ def without():
     return left_by()
 
 
-FAILS = [
-    (
-        HiddenEffect("one_wheel_drag", {"torque_nm": 0.02}, 2),
-        {"wheel 2: torque", "null space of the wheels: force", "body, any contact: moment"},
-        WHEELS - {"wheel 2: torque"},
-    ),
-    (
-        HiddenEffect("body_drag", {"coefficient_n_s_m": 40.0}),
-        {"body: force along y", "body, any contact: force along y"},
-        {*WHEELS, "null space of the wheels: force", "body: moment", "gyro less camera: turning"},
-    ),
-    (
-        HiddenEffect("gyro_scale", {"scale": 1.1}),
-        {"gyro less camera: turning", "gyro less wheels: turning", "body: moment"},
-        {"camera less wheels: speed along x", "null space of the wheels: speed"},
-    ),
-]
+def as_forces(left):
+    """The balances of torques, forces and moments as forces at the rims, in N."""
+    shaft_m, lever_m = rim_m_per_rad(MACHINE), np.abs(wheel_jacobian(MACHINE)[0, 2])
+    arms = {"torque": shaft_m, "moment": lever_m, "force": 1.0}
+    kinds = {name: name.split(": ")[1].split()[0] for name in left}
+    return {name: left[name] / arms[kind] for name, kind in kinds.items() if kind in arms}
 
 
-@pytest.mark.parametrize(("effect", "fail", "hold"), FAILS, ids=["wheel", "body", "gyro"])
-def test_an_effect_fails_its_balances_more_than_those_that_are_blind_to_it(
+@pytest.mark.parametrize(
+    ("effect", "fail", "hold"),
+    [
+        (
+            HiddenEffect("one_wheel_drag", {"torque_nm": 0.02}, 2),
+            {"wheel 2: torque", "null space of the wheels: force", "body, any contact: moment"},
+            WHEELS - {"wheel 2: torque"},
+        ),
+        (
+            HiddenEffect("body_drag", {"coefficient_n_s_m": 40.0}),
+            {"body: force along y", "body, any contact: force along y"},
+            {*WHEELS, "null space of the wheels: force", "body: moment"},
+        ),
+    ],
+    ids=["wheel", "body"],
+)
+def test_a_force_fails_its_balances_more_than_those_that_are_blind_to_it(
     effect, fail, hold, without
 ):
     """Not at all would be too much: a model that is wrong pulls the states astray."""
-    worse = {name: left / without[name] for name, left in left_by(effect).items()}
-    assert min(worse[name] for name in fail) > 2.0 * max(worse[name] for name in hold)
+    left = left_by(effect)
+    forces = as_forces(left)
+    assert min(forces[name] for name in fail) > 4.0 * max(forces[name] for name in hold)
+    sensors = "gyro less camera: turning"
+    assert left[sensors] == pytest.approx(without[sensors], rel=0.1)
+
+
+def test_a_wrong_gyro_fails_what_it_enters(without):
+    left = left_by(HiddenEffect("gyro_scale", {"scale": 1.1}))
+    worse = {name: left[name] / without[name] for name in left}
+    fail = {"gyro less camera: turning", "gyro less wheels: turning", "body: moment"}
+    hold = {"camera less wheels: speed along x", "null space of the wheels: speed"}
+    assert min(worse[name] for name in fail) > 10.0 * max(worse[name] for name in hold)
+
+
+@pytest.mark.parametrize(
+    "effect",
+    [
+        HiddenEffect("shaft_compliance", {"stiffness_nm_rad": 40.0, "damping_nm_s_rad": 0.02}),
+        HiddenEffect("actuation_delay", {"delay_s": 0.02}),
+        HiddenEffect("armature_inductance", {"inductance_h": 0.002}),
+    ],
+    ids=lambda effect: effect.name,
+)
+def test_what_drives_remember_leaves_nothing_beside_a_model_that_knows_it(effect, without):
+    """Their share of inertia behind a spring is the truth's."""
+    left = left_by(effect)
+    model = replace(read_model(NOMINAL_ROBOT), effects=[Effect(effect.name, effect.parameters)])
+    known = left_by(effect, machine=Machine(model))
+    assert all(left[name] > 5.0 * known[name] for name in WHEELS)
+    assert all(known[name] < 2.0 * without[name] for name in WHEELS)
 
 
 def test_a_wrong_contact_law_fails_what_knows_it(without):

@@ -9,7 +9,8 @@ so that the derivatives go to phi, which is known exactly, and counts, gyro and 
 were logged. Between samples y is a straight line, which makes the integrals finite sums (that of
 phi y itself by the mean of both ends); steady motion leaves nothing whatever the jitter of the
 rows. The noise of the sensors goes through the same sums. The model's accelerations are averaged by
-the same phi along the filtered states.
+the same phi: its step from each row's filtered state to the next row, with what its drives remember
+and what acts late, and without what the filter's disturbances push.
 
     wheel i              r_i = J_i (theta_i'' - model): torque at the shaft
     body                 r_b = M (acceleration by camera and gyro - model): forces, moment
@@ -29,8 +30,7 @@ What is wrong in a driver, a motor or a bearing fails its wheel and the body for
 contact law its wheel and the body, but not the body for any contact; on the body both of the
 body's. A sensor that is wrong fails its comparison with the others, and then the balances that it
 enters say nothing of forces. A model that is wrong also pulls the filtered states astray, which
-blurs this. Delays and drifts of a model are not known to `derivatives`, which has no memory and is
-at time 0.
+blurs this.
 """
 
 from collections.abc import Iterator, Sequence
@@ -145,9 +145,9 @@ class _Windows:
         blank = np.isnan(run.outputs[:, : HEADING + 1])
         self._seen = (~blank | blank.all(axis=0)).T
         self._bumps = [Bumps(run.t_s[seen], centres_s) for seen in self._seen]
-        states = [track.state.reshape(len(run.t_s), -1)[:, :14] for track in tracks]
-        self._heading_rad = np.interp(centres_s, run.t_s, states[-1][:, 13])
-        between = [_accelerations(machine, run, *pair) for pair in zip(sets, states, strict=True)]
+        heading_rad = tracks[-1].state.reshape(len(run.t_s), -1)[:, 13]
+        self._heading_rad = np.interp(centres_s, run.t_s, heading_rad)
+        between = [_accelerations(machine, run, track) for track in tracks]
         self._model = Bumps(run.t_s, centres_s).share @ np.stack(between)
         inertias = [machine.inertias(values) for values in sets]
         self._shafts = np.stack([shafts for _, _, shafts in inertias])[:, None]
@@ -217,18 +217,25 @@ class _Windows:
         return np.stack([cosine * x + sine * y, cosine * y - sine * x, *rest], axis=-1)
 
 
-def _accelerations(machine: Machine, run: Run, values: Array, states: Array) -> Array:
+def _accelerations(machine: Machine, run: Run, track: _core.Track) -> Array:
     """Return the model's accelerations (rows - 1, 7) of shafts, of body along the world, of yaw.
 
-    From each row to the next, whose command is the former's: the mean of both ends.
+    Means from each row to the next of the filter's own step, less what its disturbances push.
     """
-    ends = []
-    for rows in (slice(None, -1), slice(1, None)):
-        here = states[rows]
-        change = machine.engine.derivatives(values, here, run.command[:-1])
-        vx, vy, turning, heading = here[:, 8], here[:, 9], here[:, 10], here[:, 13]
-        ax, ay = change[:, 8] - turning * vy, change[:, 9] + turning * vx
-        cosine, sine = np.cos(heading), np.sin(heading)
-        world = (cosine * ax - sine * ay, sine * ax + cosine * ay, change[:, 10])
-        ends.append(np.column_stack([change[:, :4], *world]))
-    return 0.5 * (ends[0] + ends[1])
+    rows, every, pushes = len(run.t_s), track.filter_states, machine.engine.pushes
+    state = track.state.reshape(rows, every)
+    gain = track.gain.reshape(rows, every, machine.engine.outputs)
+    innovation = np.nan_to_num(track.innovation.reshape(rows, machine.engine.outputs))
+    stepped = state[1:] - np.einsum("rij,rj->ri", gain[1:], innovation[1:])
+    push = track.push.reshape(rows, every - pushes, pushes)[:-1]
+    stepped[:, : every - pushes] -= np.einsum("rij,rj->ri", push, state[:-1, every - pushes :])
+    change = _speeds(stepped) - _speeds(state[:-1])
+    return change / np.diff(run.t_s)[:, None]
+
+
+def _speeds(state: Array) -> Array:
+    """Return speeds (rows, 7) of shafts, of the body along the world's axes, of turning."""
+    along, across, turning, heading = state[:, 8], state[:, 9], state[:, 10], state[:, 13]
+    cosine, sine = np.cos(heading), np.sin(heading)
+    world = (cosine * along - sine * across, sine * along + cosine * across, turning)
+    return np.column_stack([state[:, :4], *world])
