@@ -70,8 +70,7 @@ class AxisPlant {
         inertia_ = c_.mass_kg + c_.inertia_kg_m2;
         gravity_torque_ = flat[4] * flat[5] * flat[6];
         hangs_ = any_differs(&gravity_torque_, 1, 0.0);
-        gear_.prepare(c_.play_rad[0], c_.stiffness_nm_rad[0], c_.damping_nm_s_rad[0],
-                      c_.load_share[0], inertia_);
+        gear_.prepare(c_, 0, inertia_);
         delays_ = any_differs(c_.delay_s, 1, 0.0);
         soft_ = any_differs(c_.play_rad, 1, 0.0) || any_differs(c_.stiffness_nm_rad, 1, kUnbounded);
         lags_ = any_differs(c_.driver_lag_s, 1, 0.0);

@@ -33,6 +33,8 @@ namespace omnislip {
 
 constexpr double kUnbounded = std::numeric_limits<double>::infinity();
 constexpr double kLoadShare = 0.2; /* wheel, shaft and last gear, of the drive's inertia */
+/* Closed teeth: how both sides of the gear would swing against each other on them. */
+constexpr double kToothFrequency_rad_s = 1500.0, kToothDampingRatio = 0.3;
 constexpr int kMaxEffectParameters = 7;
 
 struct ParameterInfo {
@@ -104,7 +106,8 @@ struct Constants {
     /* memory: see memory.h */
     S delay_s[N], driver_lag_s[N], inductance_h[N], heating_1_a2_s[N];
     S bristle_length_m[N], bristle_rolling[N];
-    S play_rad[N], stiffness_nm_rad[N], damping_nm_s_rad[N], load_share[N];
+    S play_rad[N], tooth_frequency_rad_s[N], tooth_damping_ratio[N];
+    S stiffness_nm_rad[N], damping_nm_s_rad[N], load_share[N];
 };
 
 template <class S, int N>
@@ -658,21 +661,25 @@ struct GearBacklash : Effect {
     static constexpr EffectInfo info = {
         "gear_backlash",
         "The gear has play: after a reversal the motor turns before the wheel does.",
-        "no torque while the twist at the wheel is within +-angle / 2; "
-        "load_share of the inertia is behind it",
+        "no torque while the twist at the wheel is within +-angle / 2; load_share of the inertia "
+        "is behind it, which swings on closed teeth at tooth_frequency",
         "gear",
         "play between the teeth",
         Scope::kCommon,
         kRobot | kAxis,
         kPrepare,
-        2,
+        4,
         {{"angle_rad", "rad", 0.0, 0.0, 0.5, 0.01},
-         {"load_share", "1", kLoadShare, 0.05, 0.95, 0.0}}};
+         {"load_share", "1", kLoadShare, 0.05, 0.95, 0.0},
+         {"tooth_frequency_rad_s", "rad/s", kToothFrequency_rad_s, 200.0, 6000.0, 0.0},
+         {"tooth_damping_ratio", "1", kToothDampingRatio, 0.02, 2.0, 0.0}}};
     template <class S, int N>
     static void prepare(Constants<S, N> &c, const Values<S> &p) {
         for (int i = 0; i < N; ++i) {
             c.play_rad[i] = p(0, i);
             c.load_share[i] = c.load_share[i] + (p(1, i) - S(kLoadShare));
+            c.tooth_frequency_rad_s[i] = p(2, i);
+            c.tooth_damping_ratio[i] = p(3, i);
         }
     }
 };

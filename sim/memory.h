@@ -16,7 +16,8 @@
  * A soft gear parts the inertia J of a drive (seen at the wheel) into motor (1 - p) J and wheel
  * p J, p = load_share. Twist t = motor - wheel angle, slack u = wheel - motor speed = -t':
  *
- *   gear torque  k (t -+ play / 2) + c t' outside of the play, 0 inside; teeth do not pull
+ *   gear torque  k (t -+ play / 2) + c t' outside of the play, 0 inside; teeth do not pull.
+ *                k and c are those of the teeth where there is play and no other compliance
  *   (1 - p) J motor' = motor torque - gear,   p J wheel' = gear - road
  */
 #ifndef OMNISLIP_SIM_MEMORY_H
@@ -31,9 +32,6 @@ namespace omnislip {
 inline namespace OMNISLIP_INSTRUCTION_SET {
 
 constexpr double kCoolingTime_s = 60.0; /* of a winding into its housing */
-/* Teeth that meet behind a play, where no compliance is given: a stiff, well damped contact. */
-constexpr double kToothFrequency_rad_s = 3000.0;
-constexpr double kToothDampingRatio = 0.6;
 /* Steps after a jump of the command, beside steps of 1 ms: with them the worst error of a hard
  * drive falls from 0.2 mm to 0.3 um (tests/sim/test_accuracy.py). The error of a rule of order 4
  * grows with the fourth power of the step, but with the second where the rim crosses the kink of
@@ -78,6 +76,8 @@ void forget(Constants<S, N> &c) {
         c.delay_s[i] = c.driver_lag_s[i] = c.inductance_h[i] = S(0.0);
         c.heating_1_a2_s[i] = c.bristle_length_m[i] = c.bristle_rolling[i] = S(0.0);
         c.play_rad[i] = c.ripple_nm[i] = c.ripple_per_rad[i] = S(0.0);
+        c.tooth_frequency_rad_s[i] = S(kToothFrequency_rad_s);
+        c.tooth_damping_ratio[i] = S(kToothDampingRatio);
         c.stiffness_nm_rad[i] = S(kUnbounded);
         c.damping_nm_s_rad[i] = S(0.0);
         c.load_share[i] = S(kLoadShare);
@@ -142,11 +142,14 @@ struct Relaxation {
 template <class S>
 class SoftGear {
   public:
-    void prepare(const S &play, const S &stiffness, const S &damping, const S &load_share,
-                 const S &inertia) {
+    /* The gear of shaft i, with this inertia of its drive. */
+    template <int N>
+    void prepare(const Constants<S, N> &c, int i, const S &inertia) {
+        const S &play = c.play_rad[i], &stiffness = c.stiffness_nm_rad[i];
+        const S &load_share = c.load_share[i], &frequency = c.tooth_frequency_rad_s[i];
         const S reduced = load_share * (S(1.0) - load_share) * inertia;
-        const S tooth = S(kToothFrequency_rad_s * kToothFrequency_rad_s) * reduced;
-        const S tooth_damping = S(2.0 * kToothDampingRatio * kToothFrequency_rad_s) * reduced;
+        const S tooth = frequency * frequency * reduced;
+        const S tooth_damping = S(2.0) * c.tooth_damping_ratio[i] * frequency * reduced;
         const auto springy = stiffness < S(kUnbounded);
         per_inertia_ = S(1.0) / inertia;
         per_motor_inertia_ = per_inertia_ / (S(1.0) - load_share);
@@ -154,7 +157,7 @@ class SoftGear {
         load_share_ = load_share;
         reduced_ = reduced;
         half_play_ = S(0.5) * play;
-        damping_ = select(springy, damping, tooth_damping);
+        damping_ = select(springy, c.damping_nm_s_rad[i], tooth_damping);
         stiffness_ = select(springy, stiffness, select(play > S(0.0), tooth, S(0.0)));
     }
 

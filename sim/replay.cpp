@@ -163,10 +163,11 @@ Track track(const Kernel &kernel, const Recording &recording, const double *valu
         for (int j = 0; with_floor && j < m; ++j) {
             result.replay_variance[k * m + j] = variance[j] + variance_along(slope, j, free);
         }
-        result.log_likelihood += kernel.correct_by(
-            &result.innovation[k * m], slope.data(), variance.data(), mistiming.data(), all,
-            estimate.data(), p.data(), &result.gain[k * all * m], &result.whitening[k * m * m],
-            &result.correction_variance[k * all]);
+        result.log_likelihood +=
+            kernel.correct_by(&result.innovation[k * m], slope.data(), variance.data(),
+                              mistiming.data(), recording.most_counted(static_cast<int>(k)), all,
+                              estimate.data(), p.data(), &result.gain[k * all * m],
+                              &result.whitening[k * m * m], &result.correction_variance[k * all]);
         std::copy_n(estimate.data(), all, &result.state[k * all]);
         x(moved) = estimate.head(n);
         if (with_floor && recording.time_s[k] >= restart_s) {

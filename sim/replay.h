@@ -40,6 +40,7 @@
 #ifndef OMNISLIP_SIM_REPLAY_H
 #define OMNISLIP_SIM_REPLAY_H
 
+#include <limits>
 #include <memory>
 #include <vector>
 
@@ -50,6 +51,9 @@ namespace omnislip {
 /* Replays start this long after the first row unless a recording says otherwise: until then the
  * filter finds the initial state. */
 constexpr double kSettleTime_s = 0.25;
+/* What a row's squared whitened innovations count at most in a likelihood before that: what nothing
+ * tells of the beginning, as where in its play a gear is, is no noise (some 10 are chance's). */
+constexpr double kMostOfUnsettled = 100.0;
 /* Room for a parameter set, terms of the user included. */
 constexpr int kMaxParameters = 800;
 
@@ -76,6 +80,11 @@ struct Recording {
      * no less than that of what lasts for the row. Empty: none is missing. */
     std::vector<double> untold{};
 
+    double most_counted(int row) const {
+        const std::size_t k = static_cast<std::size_t>(row);
+        const bool settled = time_s[k] >= time_s[0] + settle_s;
+        return settled ? std::numeric_limits<double>::infinity() : kMostOfUnsettled;
+    }
     bool begins() const {
         return !begun_variance.empty();
     }
@@ -181,10 +190,11 @@ class Kernel {
     /* Kalman filter of one row: innovation [outputs], NaN where nothing was sampled, slope
      * [outputs][filter_states], variance and mistiming `late` [outputs]. Moves the estimate and P,
      * fills gain [filter_states][outputs], whitening [outputs][outputs] and what the estimate is
-     * corrected by [filter_states], all 0 before. Returns the log likelihood. */
+     * corrected by [filter_states], all 0 before. Returns the log likelihood, in which squares of
+     * whitened innovations count `most`. */
     virtual double correct_by(const double *innovation, const double *slope, const double *variance,
-                              const double *late, int filter_states, double *estimate, double *p,
-                              double *gain, double *whitening,
+                              const double *late, double most, int filter_states, double *estimate,
+                              double *p, double *gain, double *whitening,
                               double *correction_variance) const = 0;
     /* Derivatives of the states of one set at many points: states [points][states], commands
      * [points][motors], derivative [points][states]; time 0, memory settled. */

@@ -432,11 +432,12 @@ class KernelOf final : public Kernel {
     }
 
     double correct_by(const double *innovation, const double *slope, const double *variance,
-                      const double *late, int filter_states, double *estimate, double *p,
-                      double *gain, double *whitening, double *correction_variance) const override {
+                      const double *late, double most, int filter_states, double *estimate,
+                      double *p, double *gain, double *whitening,
+                      double *correction_variance) const override {
         return by_memory(filter_states - kStates - kPushes, [&](auto memory) {
-            return correct_with<memory.value>(innovation, slope, variance, late, estimate, p, gain,
-                                              whitening, correction_variance);
+            return correct_with<memory.value>(innovation, slope, variance, late, most, estimate, p,
+                                              gain, whitening, correction_variance);
         });
     }
 
@@ -662,7 +663,8 @@ class KernelOf final : public Kernel {
                 const double square = squared_step(recording, kMotors, k, i);
                 variance[kOutputs - kMotors + i] += S(0.25 * square) * unresolved_current;
             }
-            update<kFilter>(track, k, slope, variance, late, p, apart, total, keep);
+            const S most(recording.most_counted(k));
+            update<kFilter>(track, k, slope, variance, late, most, p, apart, total, keep);
             if (k + 1 == recording.rows)
                 break;
             const double duration_s = recording.time_s[k + 1] - recording.time_s[k];
@@ -791,7 +793,8 @@ class KernelOf final : public Kernel {
     /* One row of the filter of `likelihoods`. `keep(S_ab)` of the sampled a, and b up to a. */
     template <int kFilter, class Keep>
     static void update(const Track &track, int k, const double *slope, const S *variance,
-                       const S *late, S (&p)[kFilter][kFilter], S *apart, S &total, Keep &&keep) {
+                       const S *late, const S &most, S (&p)[kFilter][kFilter], S *apart, S &total,
+                       Keep &&keep) {
         const double *shown = &track.innovation[k * kOutputs];
         const Sampled sampled(shown);
         S innovation[kOutputs];
@@ -804,7 +807,7 @@ class KernelOf final : public Kernel {
             }
         }
         Told<S, kFilter> told;
-        total += told.by(sampled, slope, variance, late, innovation, p, keep);
+        total += told.by(sampled, slope, variance, late, innovation, most, p, keep);
         for (int i = 0; i < kFilter; ++i) {
             double corrected = 0.0;
             for (int a = 0; a < sampled.count(); ++a)
@@ -842,13 +845,15 @@ class KernelOf final : public Kernel {
     struct Told {
         T g[kOutputs][kFilter], white[kOutputs], root[kOutputs][kOutputs], per_root[kOutputs];
 
-        /* Fills in these, lets P fall; returns the log likelihood. `keep(S_ab)`, b up to a. */
+        /* Fills in these, lets P fall; returns the log likelihood, in which white^2 counts `most`.
+         * `keep(S_ab)`, b up to a. */
         template <class Keep>
         T by(const Sampled &sampled, const double *slope, const T *variance, const T *late,
-             const T *innovation, T (*p)[kFilter], Keep &&keep) {
+             const T *innovation, const T &most, T (*p)[kFilter], Keep &&keep) {
             using std::log;
+            using std::min;
             using std::sqrt;
-            T total(0.0);
+            T total(0.0), square(0.0);
             for (int a = 0; a < sampled.count(); ++a) {
                 const double *h = slope + sampled[a] * kFilter;
                 T ph[kFilter], left = innovation[a];
@@ -882,8 +887,8 @@ class KernelOf final : public Kernel {
                 white[a] = left * per_root[a];
                 for (int i = 0; i < kFilter; ++i)
                     g[a][i] = ph[i] * per_root[a];
-                total +=
-                    log(per_root[a]) - T(0.5) * white[a] * white[a] - T(0.5 * std::log(2.0 * kPi));
+                total += log(per_root[a]) - T(0.5 * std::log(2.0 * kPi));
+                square += white[a] * white[a];
             }
             for (int i = 0; i < kFilter; ++i) {
                 for (int a = 0; a < sampled.count(); ++a) {
@@ -891,15 +896,15 @@ class KernelOf final : public Kernel {
                         p[i][j] -= g[a][i] * g[a][j];
                 }
             }
-            return total;
+            return total - T(0.5) * min(square, most);
         }
     };
 
     /* One row of the filter of a track. With 1 / L the whitening, K = G / L. */
     template <int kMemory>
     static double correct_with(const double *innovation, const double *slope,
-                               const double *variance, const double *late, double *estimate,
-                               double *p, double *gain, double *whitening,
+                               const double *variance, const double *late, double most,
+                               double *estimate, double *p, double *gain, double *whitening,
                                double *correction_variance) {
         constexpr int kFilter = kStates + kMemory + kPushes;
         const Sampled sampled(innovation);
@@ -908,8 +913,8 @@ class KernelOf final : public Kernel {
             shown[a] = innovation[sampled[a]];
         Told<double, kFilter> told;
         const double log_likelihood =
-            told.by(sampled, slope, variance, late, shown, reinterpret_cast<double(*)[kFilter]>(p),
-                    [](double) {});
+            told.by(sampled, slope, variance, late, shown, most,
+                    reinterpret_cast<double(*)[kFilter]>(p), [](double) {});
         double inverse[kOutputs][kOutputs];
         for (int a = 0; a < sampled.count(); ++a) {
             inverse[a][a] = told.per_root[a];

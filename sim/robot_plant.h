@@ -351,11 +351,8 @@ class RobotPlant : public RobotLayout {
     }
 
     void derive_memory() {
-        for (int i = 0; i < 4; ++i) {
-            gear_[i].prepare(c_.play_rad[i], c_.stiffness_nm_rad[i], c_.damping_nm_s_rad[i],
-                             c_.load_share[i],
-                             c_.shaft_inertia_kg_m2[i] * c_.gear_ratio * c_.gear_ratio);
-        }
+        for (int i = 0; i < 4; ++i)
+            gear_[i].prepare(c_, i, c_.shaft_inertia_kg_m2[i] * c_.gear_ratio * c_.gear_ratio);
         delays_ = any_differs(c_.delay_s, 4, 0.0);
         shows_late_ =
             any_lane_differs(c_.pose_delay_s, 0.0) || any_lane_differs(c_.clock_fraction, 0.0);

@@ -1,5 +1,6 @@
 """The filter's noise: likelihoods along a path against filters of their own, and disturbances."""
 
+from copy import copy
 from dataclasses import replace
 from functools import partial
 
@@ -40,6 +41,7 @@ from scipy.linalg import block_diag
 from scipy.stats import multivariate_normal
 from truth_bench import runs_of
 
+MOST_OF_UNSETTLED = 100.0
 NAMES = ("process", "output", "initial", "timing_s2", "unresolved", "unresolved_current")
 NAMES += ("coloured", "colour_rate_1_s")
 
@@ -208,6 +210,9 @@ def textbook_filter(run, track, noise, machine):
             whitening[row][np.ix_(seen, seen)] = np.linalg.inv(np.linalg.cholesky(scatter))
             corrected[row] = np.diag(k @ scatter @ k.T)
             log_likelihood += multivariate_normal.logpdf(innovation[row, seen], cov=scatter)
+            if run.t_s[row] < run.settled_s:
+                square = float(np.sum((whitening[row][:, seen] @ innovation[row, seen]) ** 2))
+                log_likelihood += 0.5 * max(square - MOST_OF_UNSETTLED, 0.0)
             rest = np.eye(n) - k @ h  # Joseph's form
             covariance = rest @ covariance @ rest.T + k @ np.diag(noise.output[seen]) @ k.T
         if row + 1 < rows:
@@ -241,6 +246,50 @@ def test_the_filter_is_that_of_the_textbook(bench):
             size = np.abs(one).max(axis=0)  # of each state and output
             assert np.all(np.abs(own.reshape(one.shape) - one) <= 1e-7 * size)
         assert track.log_likelihood == pytest.approx(log_likelihood, rel=1e-11)
+
+
+def whitened_squares(track, rows, outputs):
+    """Squares of the whitened innovations (rows,)."""
+    whitening = track.whitening.reshape(rows, outputs, outputs)
+    innovation = np.nan_to_num(track.innovation.reshape(rows, outputs))
+    return np.sum(np.einsum("rij,rj->ri", whitening, innovation) ** 2, axis=1)
+
+
+def started_otherwise(bench):
+    """The bench with first states 50 standard deviations from what it took them for."""
+    states, other = len(bench.noise.initial), copy(bench)
+    starts = [track.state[:states] + 50.0 * np.sqrt(bench.noise.initial) for track in bench.tracks]
+    other.recordings = [
+        bench.machine.recording(run.t_s, run.command, run.outputs, start)
+        for run, start in zip(bench.runs, starts, strict=True)
+    ]
+    if bench.machine.kind == "robot":
+        other.recordings = [one.missing(np.zeros(one.rows)) for one in other.recordings]
+    other.runs = [
+        replace(run, recording=recording)
+        for run, recording in zip(bench.runs, other.recordings, strict=True)
+    ]
+    other.tracks = other.tracked(other.noise, keep_linear=True)
+    return other
+
+
+def test_a_beginning_that_nobody_knows_is_no_noise(bench):
+    """A row counts little of it in the likelihood: noise is not tuned to cover it."""
+    other = started_otherwise(bench)
+    noise = replace(other.noise, timing_s2=0.0)
+    for run, track in zip(other.runs, other.tracked(noise, keep_linear=True), strict=True):
+        *_, log_likelihood = textbook_filter(run, track, noise, other.machine)
+        assert track.log_likelihood == pytest.approx(log_likelihood, rel=1e-11)
+    totals, _ = other.likelihoods([other.noise])
+    assert totals[0] == pytest.approx(other.tracked_log_likelihood(other.noise), rel=1e-12)
+    lost = bench.tracked_log_likelihood(bench.noise) - totals[0]
+    unsettled = sum(np.sum(run.t_s < run.settled_s) for run in other.runs)
+    assert 50.0 < lost < 0.5 * MOST_OF_UNSETTLED * unsettled
+    squares = [
+        whitened_squares(track, len(run.t_s), other.machine.engine.outputs)
+        for run, track in zip(other.runs, other.tracks, strict=True)
+    ]
+    assert 0.5 * sum(own.sum() for own in squares) > 5.0 * lost
 
 
 def test_what_rounding_leaves_unsymmetric_does_not_grow(robot):

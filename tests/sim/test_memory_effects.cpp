@@ -289,6 +289,18 @@ static double growth(double stiffness, double damping, double motor_1_s, double 
     return std::exp(logarithm);
 }
 
+/* Of an inertia of 1. */
+static SoftGear<double> soft_gear(double stiffness, double damping, double share) {
+    Constants<double, 1> c;
+    forget(c);
+    c.stiffness_nm_rad[0] = stiffness;
+    c.damping_nm_s_rad[0] = damping;
+    c.load_share[0] = share;
+    SoftGear<double> gear;
+    gear.prepare(c, 0, 1.0);
+    return gear;
+}
+
 /* Ringing, dead-beat and bridged springs, weak and strong brakes on either side. */
 static void rate_of_a_soft_gear_is_its_fastest_eigenvalue(void) {
     for (double share : {0.05, 0.2, 0.5, 0.9}) {
@@ -298,8 +310,7 @@ static void rate_of_a_soft_gear_is_its_fastest_eigenvalue(void) {
                     for (double wheel_1_s : {0.0, 40.0, 2000.0}) {
                         const double reduced = share * (1.0 - share);
                         const double damping = 2.0 * ratio * std::sqrt(stiffness * reduced);
-                        SoftGear<double> gear;
-                        gear.prepare(0.0, stiffness, damping, share, 1.0);
+                        const SoftGear<double> gear = soft_gear(stiffness, damping, share);
                         const double closed =
                             growth(stiffness, damping, motor_1_s, wheel_1_s, share);
                         const double apart = std::max(motor_1_s / (1.0 - share), wheel_1_s / share);
@@ -311,8 +322,7 @@ static void rate_of_a_soft_gear_is_its_fastest_eigenvalue(void) {
             }
         }
     }
-    SoftGear<double> stiff;
-    stiff.prepare(0.0, kUnbounded, 0.0, kLoadShare, 1.0);
+    const SoftGear<double> stiff = soft_gear(kUnbounded, 0.0, kLoadShare);
     TEST_ASSERT_EQUAL_DOUBLE(47.0, stiff.rate_1_s(7.0, 40.0));
 }
 
@@ -447,6 +457,24 @@ static void vanishing_memory_is_the_plant_without_it(void) {
     }
 }
 
+/* Both sides of the gear swing on closed teeth at their frequency and damping ratio. */
+static void teeth_are_springs_of_their_frequency(void) {
+    const double frequency = 800.0, ratio = 0.1;
+    const Robot::State sprung = driven(
+        RobotModel()
+            .effect("shaft_compliance", "stiffness_nm_rad", frequency * frequency * kReduced_kg_m2)
+            .effect("shaft_compliance", "damping_nm_s_rad",
+                    2.0 * ratio * frequency * kReduced_kg_m2),
+        1e-4);
+    const RobotModel usual = RobotModel().effect("gear_backlash", "angle_rad", 1e-9);
+    RobotModel other = usual;
+    other.effect("gear_backlash", "tooth_frequency_rad_s", frequency)
+        .effect("gear_backlash", "tooth_damping_ratio", ratio);
+    const double left = apart(sprung, driven(other, 1e-4));
+    TEST_ASSERT_TRUE(left < 2e-3);
+    TEST_ASSERT_TRUE(apart(sprung, driven(usual, 1e-4)) > 5.0 * left);
+}
+
 /* Memory that has settled changes nothing but what comes later. */
 static void settled_robot_accelerates_as_without_memory(void) {
     Robot plain;
@@ -507,6 +535,7 @@ int main(void) {
     RUN_TEST(stiff_axis_is_the_rigid_one);
     RUN_TEST(soft_pendulum_keeps_its_energy);
     RUN_TEST(vanishing_memory_is_the_plant_without_it);
+    RUN_TEST(teeth_are_springs_of_their_frequency);
     RUN_TEST(settled_robot_accelerates_as_without_memory);
     RUN_TEST(error_falls_with_the_square_of_the_step);
     RUN_TEST(step_of_a_gear_with_play_hardly_matters);

@@ -619,6 +619,8 @@ EXTENSIONS = {
     (CURVE, "roller"),
     ("shaft_compliance", "load_share"),
     ("gear_backlash", "load_share"),
+    ("gear_backlash", "tooth_frequency_rad_s"),
+    ("gear_backlash", "tooth_damping_ratio"),
 }
 
 WHOLE = {("cogging", "cycles_per_rev"), ("roller_ripple", "rollers")}
