@@ -33,7 +33,8 @@ namespace omnislip {
 
 constexpr double kUnbounded = std::numeric_limits<double>::infinity();
 constexpr double kLoadShare = 0.2; /* wheel, shaft and last gear, of the drive's inertia */
-/* Closed teeth: how both sides of the gear would swing against each other on them. */
+/* Closed teeth: how both sides of the gear would swing against each other on them. What is softer
+ * than 900 rad/s is a shaft_compliance. */
 constexpr double kToothFrequency_rad_s = 1500.0, kToothDampingRatio = 0.3;
 constexpr int kMaxEffectParameters = 7;
 
@@ -671,7 +672,7 @@ struct GearBacklash : Effect {
         4,
         {{"angle_rad", "rad", 0.0, 0.0, 0.5, 0.01},
          {"load_share", "1", kLoadShare, 0.05, 0.95, 0.0},
-         {"tooth_frequency_rad_s", "rad/s", kToothFrequency_rad_s, 200.0, 6000.0, 0.0},
+         {"tooth_frequency_rad_s", "rad/s", kToothFrequency_rad_s, 900.0, 6000.0, 0.0},
          {"tooth_damping_ratio", "1", kToothDampingRatio, 0.02, 2.0, 0.0}}};
     template <class S, int N>
     static void prepare(Constants<S, N> &c, const Values<S> &p) {
