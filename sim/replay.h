@@ -80,6 +80,7 @@ struct Recording {
      * no less than that of what lasts for the row. Empty: none is missing. */
     std::vector<double> untold{};
 
+    /* Of the squared whitened innovations of a row, in a likelihood. */
     double most_counted(int row) const {
         const std::size_t k = static_cast<std::size_t>(row);
         const bool settled = time_s[k] >= time_s[0] + settle_s;
