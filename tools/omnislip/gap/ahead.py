@@ -20,7 +20,7 @@ from omnislip.gap.judge import (
     judge_candidate,
 )
 from omnislip.gap.machine import CURVE, Candidate, stall_acceleration_rad_s2
-from omnislip.gap.noise import RunawayError, some_runs, track_all, tuned_likelihood
+from omnislip.gap.noise import SHAFT, RunawayError, some_runs, track_all, tuned_likelihood
 from omnislip.gap.recordings import Run
 from omnislip.gap.refit import place_again, refit_quickly
 from omnislip.gap.screen import Screened, neutral_sizes, screen
@@ -43,6 +43,9 @@ SHAKEN = 0.003
 """Of a motor's acceleration at stall, how much its shaft has to be shaken by what a model does not
 foretell for springs to be looked for: 0.005 to 0.04 in ten sets of logs with springs that it lacks,
 0.0002 to 0.0036 in twelve nulls."""
+SHAKEN_ALIKE = 0.4
+"""Of how much the shaft that is shaken most is, how much that one has to be which is least: springs
+behind all of them do that (0.72 to 0.95 in twelve such sets), not a driver that lets go (0.06)."""
 STIFFNESSES = 0.03 * 1.3 ** np.arange(18)
 """In the scale of a stiffness: a wheel that is free swings at 11 to 110 Hz. The valley of the
 likelihood is narrow, 15 % to either side, and from beyond no derivative leads there."""
@@ -97,6 +100,7 @@ class Ahead:
         self._candidates, self._step, self._tried = candidates, step, tried * BEAM
         self._progress = progress
         self.trials: list[Trial] = []
+        self.looked_for_springs = False
 
     def best(
         self, refused: Sequence[tuple[Trial, Fit]], screened: Sequence[Screened]
@@ -205,6 +209,10 @@ class Ahead:
         shaken_rad_s2 = float(np.sqrt(data.noise.coloured[0, 0]))
         if shaken_rad_s2 < SHAKEN * stall_acceleration_rad_s2(machine):
             return None
+        shaken = self._shaken()
+        if shaken.min() < SHAKEN_ALIKE * shaken.max():
+            return None
+        self.looked_for_springs = True
         self._progress(f"step {self._step}: looking for springs")
         [candidate] = [c for c in machine.candidates() if c.effect == SPRING]
         [share] = machine.refinements(candidate)
@@ -274,6 +282,17 @@ class Ahead:
         )
         self.trials.append(trial)
         return Further(data, current, fitted, trial) if trial.accepted else None
+
+    def _shaken(self) -> Array:
+        """Root mean squares (wheels,) of what shakes the shafts and the model does not foretell."""
+        data, pushes = self._data, self._data.machine.engine.pushes
+        values = self._current.hypothesis.flat(data.believed)
+        tracks = track_all(data.machine, data.runs, values, data.noise)
+        settled = [
+            track.state.reshape(len(run.t_s), -1)[run.t_s >= run.settled_s, -pushes:]
+            for run, track in zip(data.runs, tracks, strict=True)
+        ]
+        return np.sqrt(np.mean(np.concatenate(settled)[:, SHAFT] ** 2, axis=0))
 
     def _likelihood(self, hypothesis: Hypothesis, runs: Sequence[Run]) -> float:
         """Logarithm of that of a model's own filter, by the noise that is known."""

@@ -163,6 +163,7 @@ def search(
     curves = set[str]()
     neighbours: dict[str, list[Candidate]] = {}
     steps = vain = 0
+    looked_for_springs = False
     again = _again(machine, runs, before, tried) if before else None
     if again is not None:
         progress("going on from what was found before")
@@ -186,8 +187,9 @@ def search(
         ahead = Ahead(data, current, candidates, step, tried, progress)
         # By the filter of a model without them some effects promise nothing.
         far = [ahead.far(c, accepted) for c in candidates if c.effect in (DELAY, *FAR_SIZES)]
-        if accepted is None or not current.hypothesis.effects:  # what was named hides springs
+        if accepted is None or not looked_for_springs:  # what is named instead hides them
             far.append(ahead.springs(accepted))
+            looked_for_springs = looked_for_springs or ahead.looked_for_springs
         further = max(filter(None, far), key=Further.gain, default=None)
         if further is not None:
             reason = f"explains less than {further.trial.candidate.name} far from none"
