@@ -8,14 +8,14 @@ from axis_bench import Bench, make_machine, make_runs, silent
 from omnislip.gap.inference import Data, fit
 from omnislip.gap.leftover import find_shapes
 from omnislip.gap.machine import Machine
-from omnislip.gap.noise import tune_noise
+from omnislip.gap.noise import DISTURBANCES, first_guess, track_all, tune_noise
 from omnislip.gap.recordings import Run
 from omnislip.gap.search import search
 from omnislip.gap.settle import believed_hypothesis
 from omnislip.gap.truth import TruthCase
 from omnislip.gap.truth_effects import typical_effect
 from omnislip.gap.where import ROBOT_EQUATIONS, Map, describe, map_gap
-from omnislip.model_file import NOMINAL_ROBOT, read_model
+from omnislip.model_file import NOMINAL_ROBOT, Effect, read_model
 from truth_bench import runs_of
 
 ROWS, ROW_S = 1200, 0.005
@@ -202,3 +202,17 @@ def test_what_the_gap_looks_like_tells_parity_order_and_frame(name):
     shapes = find_shapes(data, fit(data, start))
     strongest = max(shapes, key=lambda shape: shape.gain)
     assert looks in f"{strongest.equation}: {strongest.dependence}"
+
+
+def test_disturbances_tell_of_what_they_push_beside_memory_too():
+    """Springs stand before them in the filter's state."""
+    stiff = Machine(read_model(NOMINAL_ROBOT))
+    springs = Effect("shaft_compliance", {"stiffness_nm_rad": 100.0, "damping_nm_s_rad": 0.1})
+    sprung = Machine(replace(stiff.model, effects=[springs]))
+    runs = runs_of(stiff, TruthCase(5, runs=1, run_duration_s=2.0))
+    for machine, memory in ((stiff, 0), (sprung, 8)):
+        [track] = track_all(machine, runs, machine.believed, first_guess(machine, runs))
+        states = np.arange(track.filter_states)
+        assert len(states) == 14 + memory + 7
+        told = [own[1] for own in ROBOT_EQUATIONS.values() if len(own) == 2][:7]
+        assert [states[place] for place in told] == list(states[DISTURBANCES])

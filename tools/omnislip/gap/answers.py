@@ -40,7 +40,7 @@ from scipy.linalg import orth
 
 from omnislip import _core
 from omnislip.gap.machine import Machine
-from omnislip.gap.noise import Noise, track_all
+from omnislip.gap.noise import Noise, corrections, track_all
 from omnislip.gap.recordings import Run
 
 Array = npt.NDArray[np.float64]
@@ -170,10 +170,8 @@ def lead_rows(run: Run) -> int:
 def foreseen(run: Run, track: _core.Track) -> Array:
     """States (rows, states) without what was corrected in the last `CHANCE_S`."""
     rows = len(run.t_s)
-    gain, transition = track.gain.reshape(rows, -1, run.outputs.shape[1]), track.transition
-    transition = transition.reshape(rows, gain.shape[1], -1)
-    innovation = np.nan_to_num(track.innovation.reshape(rows, -1))
-    corrected = np.einsum("kij,kj->ki", gain, innovation)
+    corrected = corrections(track)
+    transition = track.transition.reshape(rows, track.filter_states, -1)
     states = track.state.reshape(rows, -1) - corrected
     for _ in range(lead_rows(run)):
         corrected[1:] = np.einsum("kij,kj->ki", transition[:-1], corrected[:-1])

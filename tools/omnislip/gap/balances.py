@@ -42,7 +42,16 @@ import numpy.typing as npt
 from omnislip import _core
 from omnislip.gap.machine import Machine
 from omnislip.gap.metrics import WINDOW_S, Replays
-from omnislip.gap.noise import GYRO, HEADING, POSE_XY, SHAFT, Noise, track_all
+from omnislip.gap.noise import (
+    DISTURBANCES,
+    GYRO,
+    HEADING,
+    POSE_XY,
+    SHAFT,
+    Noise,
+    corrections,
+    track_all,
+)
 from omnislip.gap.recordings import Run, rim_m_per_rad, wheel_jacobian
 from omnislip.gap.terms import NULL_SPACE
 
@@ -147,7 +156,7 @@ class _Windows:
         self._bumps = [Bumps(run.t_s[seen], centres_s) for seen in self._seen]
         heading_rad = tracks[-1].state.reshape(len(run.t_s), -1)[:, 13]
         self._heading_rad = np.interp(centres_s, run.t_s, heading_rad)
-        between = [_accelerations(machine, run, track) for track in tracks]
+        between = [_accelerations(run, track) for track in tracks]
         self._model = Bumps(run.t_s, centres_s).share @ np.stack(between)
         inertias = [machine.inertias(values) for values in sets]
         self._shafts = np.stack([shafts for _, _, shafts in inertias])[:, None]
@@ -217,18 +226,16 @@ class _Windows:
         return np.stack([cosine * x + sine * y, cosine * y - sine * x, *rest], axis=-1)
 
 
-def _accelerations(machine: Machine, run: Run, track: _core.Track) -> Array:
+def _accelerations(run: Run, track: _core.Track) -> Array:
     """Return the model's accelerations (rows - 1, 7) of shafts, of body along the world, of yaw.
 
     Means from each row to the next of the filter's own step, less what its disturbances push.
     """
-    rows, every, pushes = len(run.t_s), track.filter_states, machine.engine.pushes
-    state = track.state.reshape(rows, every)
-    gain = track.gain.reshape(rows, every, machine.engine.outputs)
-    innovation = np.nan_to_num(track.innovation.reshape(rows, machine.engine.outputs))
-    stepped = state[1:] - np.einsum("rij,rj->ri", gain[1:], innovation[1:])
-    push = track.push.reshape(rows, every - pushes, pushes)[:-1]
-    stepped[:, : every - pushes] -= np.einsum("rij,rj->ri", push, state[:-1, every - pushes :])
+    state = track.state.reshape(len(run.t_s), -1)
+    stepped = (state - corrections(track))[1:]
+    disturbed = state[:-1, DISTURBANCES]
+    push = track.push.reshape(len(run.t_s), -1, disturbed.shape[1])[:-1]
+    stepped[:, : push.shape[1]] -= np.einsum("rij,rj->ri", push, disturbed)
     change = _speeds(stepped) - _speeds(state[:-1])
     return change / np.diff(run.t_s)[:, None]
 
@@ -238,4 +245,4 @@ def _speeds(state: Array) -> Array:
     along, across, turning, heading = state[:, 8], state[:, 9], state[:, 10], state[:, 13]
     cosine, sine = np.cos(heading), np.sin(heading)
     world = (cosine * along - sine * across, sine * along + cosine * across, turning)
-    return np.column_stack([state[:, :4], *world])
+    return np.column_stack([state[:, SHAFT], *world])

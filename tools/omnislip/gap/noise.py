@@ -122,6 +122,15 @@ def track_all(
     return track_recordings(machine, recordings, values, noise, STEP_S, keep_linear, floor_window_s)
 
 
+def corrections(track: _core.Track) -> Array:
+    """What the filter of a track corrects its states by in every row (rows, filter states)."""
+    states = track.filter_states
+    rows = len(track.state) // states
+    gain = track.gain.reshape(rows, states, -1)
+    innovation = np.nan_to_num(track.innovation.reshape(rows, -1))
+    return np.einsum("rij,rj->ri", gain, innovation)
+
+
 def require_following(runs: Sequence[Run], tracks: Sequence[_core.Track]) -> None:
     """Raise RunawayError if a filter has diverged."""
     for run, track in zip(runs, tracks, strict=True):

@@ -17,20 +17,21 @@ import numpy.typing as npt
 
 from omnislip import _core
 from omnislip.gap.machine import POSE_X, Machine
-from omnislip.gap.noise import Noise, track_all
+from omnislip.gap.noise import Noise, corrections, track_all
 from omnislip.gap.recordings import ODOMETRY_CHANNELS, Run
 
 Array = npt.NDArray[np.float64]
 
 ROBOT_EQUATIONS = {
-    **{f"wheel/{wheel}/torque": (wheel - 1, wheel + 13) for wheel in range(1, 5)},
-    "body/force_x": (8, 18),
-    "body/force_y": (9, 19),
-    "body/moment": (10, 20),
+    **{f"wheel/{wheel}/torque": (wheel - 1, wheel - 8) for wheel in range(1, 5)},
+    "body/force_x": (8, -3),
+    "body/force_y": (9, -2),
+    "body/moment": (10, -1),
     "pose/position": (11, 12),
     "pose/heading": (13,),
 }
-"""States of the filter that tell of an equation: of the plant, from 14 on the disturbances."""
+"""States of the filter that tell of an equation: of the plant, and from the end the disturbances,
+before which memory may stand."""
 AXIS_EQUATIONS = {"axis/force": (0,)}  # one sensor: force and position are corrected alike
 ODOMETRY_EQUATIONS = {"pose/position": (0, 1), "pose/heading": (2,)}
 EQUATIONS = {"robot": ROBOT_EQUATIONS, "axis": AXIS_EQUATIONS, "odometry": ODOMETRY_EQUATIONS}
@@ -67,11 +68,11 @@ def map_gap(
     """Return where the refitted model is corrected more than the one with effects (or chance)."""
     equations = EQUATIONS[machine.kind]
     tracks = track_all(machine, runs, refit, noise)
-    before = _corrections(machine, runs, tracks, equations)
+    before = _corrections(runs, tracks, equations)
     if after is None:
         excess = [b - np.sum(b > 0, axis=0, keepdims=True) / len(b) for b in before]
     else:
-        later = _corrections(machine, runs, track_all(machine, runs, after, noise), equations)
+        later = _corrections(runs, track_all(machine, runs, after, noise), equations)
         excess = [b - a for b, a in zip(before, later, strict=True)]
     total = np.maximum(sum(e.sum(axis=0) for e in excess), 0.0)
     shares = total / max(total.sum(), 1e-12)
@@ -96,16 +97,13 @@ def describe(runs: Sequence[Run], gap_map: Map) -> list[Place]:
 
 
 def _corrections(
-    machine: Machine, runs: Sequence[Run], tracks: Sequence[_core.Track], equations: dict
+    runs: Sequence[Run], tracks: Sequence[_core.Track], equations: dict
 ) -> list[Array]:
     """Squared corrections over their expected variance (rows, equations) of each run."""
-    outputs, result = machine.engine.outputs, []
+    result = []
     for run, track in zip(runs, tracks, strict=True):
-        rows, states = len(run.t_s), track.filter_states
-        gain = track.gain.reshape(rows, states, outputs)
-        innovation = np.nan_to_num(track.innovation.reshape(rows, outputs))
-        change = np.einsum("rij,rj->ri", gain, innovation)
-        expected = track.correction_variance.reshape(rows, states)
+        change = corrections(track)
+        expected = track.correction_variance.reshape(change.shape)
         ratio = np.divide(change**2, expected, out=np.zeros_like(change), where=expected > 0)
         ratio[run.t_s < run.t_s[0] + WINDOW_S] = 0.0
         result.append(np.stack([ratio[:, own].mean(axis=1) for own in equations.values()], axis=1))
