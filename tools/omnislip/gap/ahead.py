@@ -20,7 +20,14 @@ from omnislip.gap.judge import (
     judge_candidate,
 )
 from omnislip.gap.machine import CURVE, Candidate, stall_acceleration_rad_s2
-from omnislip.gap.noise import SHAFT, RunawayError, some_runs, track_all, tuned_likelihood
+from omnislip.gap.noise import (
+    DISTURBANCES,
+    SHAFT,
+    RunawayError,
+    some_runs,
+    track_all,
+    tuned_likelihood,
+)
 from omnislip.gap.recordings import Run
 from omnislip.gap.refit import place_again, refit_quickly
 from omnislip.gap.screen import Screened, neutral_sizes, screen
@@ -285,11 +292,11 @@ class Ahead:
 
     def _shaken(self) -> Array:
         """Root mean squares (wheels,) of what shakes the shafts and the model does not foretell."""
-        data, pushes = self._data, self._data.machine.engine.pushes
+        data = self._data
         values = self._current.hypothesis.flat(data.believed)
         tracks = track_all(data.machine, data.runs, values, data.noise)
         settled = [
-            track.state.reshape(len(run.t_s), -1)[run.t_s >= run.settled_s, -pushes:]
+            track.state.reshape(len(run.t_s), -1)[run.t_s >= run.settled_s, DISTURBANCES]
             for run, track in zip(data.runs, tracks, strict=True)
         ]
         return np.sqrt(np.mean(np.concatenate(settled)[:, SHAFT] ** 2, axis=0))

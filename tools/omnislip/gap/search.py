@@ -168,6 +168,7 @@ def search(
     if again is not None:
         progress("going on from what was found before")
         (data, current), neighbours = again, dict(before.neighbours)
+        looked_for_springs = True
         settled = current
         if before.mistaken:
             current, compared = swap_effects(data, current, neighbours, progress, tried)
@@ -189,7 +190,7 @@ def search(
         far = [ahead.far(c, accepted) for c in candidates if c.effect in (DELAY, *FAR_SIZES)]
         if accepted is None or not looked_for_springs:  # what is named instead hides them
             far.append(ahead.springs(accepted))
-            looked_for_springs = looked_for_springs or ahead.looked_for_springs
+            looked_for_springs |= ahead.looked_for_springs
         further = max(filter(None, far), key=Further.gain, default=None)
         if further is not None:
             reason = f"explains less than {further.trial.candidate.name} far from none"
