@@ -11,6 +11,8 @@ from omnislip.gap.inference import Evidence, fit
 from omnislip.gap.judge import SURE_GAIN, WITHIN_LAW, Trial
 from omnislip.gap.machine import CURVE, Machine
 from omnislip.gap.noise import track_all
+from omnislip.gap.refit import refit_each
+from omnislip.gap.screen import screen
 from omnislip.gap.settle import believed_hypothesis, settle
 from omnislip.gap.truth import TruthCase
 from omnislip.gap.truth_effects import HiddenEffect
@@ -163,6 +165,27 @@ def test_springs_are_looked_for_where_shafts_are_shaken_by_noise_that_fits_each(
         assert further is None
         assert ahead.trials == []
     assert Ahead(data, current, [], 1, 100, told.append).springs(None) is None
+
+
+@pytest.mark.parametrize(
+    ("hidden", "named", "looked_for"),
+    [
+        (HiddenEffect("cogging", COGGING), "cogging", False),
+        (SPRING, "motor_inertia_error", True),
+        (SPRING, "cogging", True),
+    ],
+)
+def test_springs_are_not_looked_for_beside_what_leaves_no_shaft_shaken(
+    tmp_path, hidden, named, looked_for
+):
+    """What shook the shafts has a name then; a heavier rotor, named for a spring, leaves most."""
+    case = TruthCase(seed=21007, effects=(hidden.as_dict(),), runs=2)
+    robot, runs, candidates = robot_runs(case, tmp_path)
+    data, current = settle(robot, runs, believed_hypothesis(robot))
+    [accepted] = refit_each(data, current, screen(data, current, [candidates[named]]))
+    told = []
+    Ahead(data, current, [candidates["shaft_compliance"]], 1, 100, told.append).springs(accepted)
+    assert ("step 1: looking for springs" in told) == looked_for
 
 
 @pytest.mark.parametrize(

@@ -19,13 +19,15 @@ from omnislip.gap.judge import (
     both_pass,
     judge_candidate,
 )
-from omnislip.gap.machine import CURVE, Candidate, stall_acceleration_rad_s2
+from omnislip.gap.machine import CURVE, Candidate, Machine, stall_acceleration_rad_s2
 from omnislip.gap.noise import (
     DISTURBANCES,
     SHAFT,
+    Noise,
     RunawayError,
     some_runs,
     track_all,
+    tune_noise,
     tuned_likelihood,
 )
 from omnislip.gap.recordings import Run
@@ -207,17 +209,19 @@ class Ahead:
 
         Each stiffness by noise that fits it, in the run that is driven most: what was tuned without
         springs covers what they do, and by its filter they gain a tenth of what a heavier rotor
-        does, which was named, and the rest unknown.
+        does, which was named, and the rest unknown. What was accepted has to leave shafts shaken.
         """
         data, current = self._data, self._current.hypothesis
         machine = data.machine
         if machine.kind != "robot" or SPRING not in {c.effect for c in self._candidates}:
             return None
-        shaken_rad_s2 = float(np.sqrt(data.noise.coloured[0, 0]))
-        if shaken_rad_s2 < SHAKEN * stall_acceleration_rad_s2(machine):
+        if not _shakes(machine, data.noise):
             return None
         shaken = self._shaken()
         if shaken.min() < SHAKEN_ALIKE * shaken.max():
+            return None
+        run = max(data.runs, key=lambda one: float(np.std(np.diff(one.command, axis=0))))
+        if accepted is not None and not self._still_shakes(accepted.hypothesis, run):
             return None
         self.looked_for_springs = True
         self._progress(f"step {self._step}: looking for springs")
@@ -232,8 +236,6 @@ class Ahead:
             damping = 2.0 * SPRING_DAMPING_RATIO * np.sqrt(stiffness * reduced)
             spring = current.with_effect(candidate, [stiffness, damping])
             return spring.with_effect(share, [load_share]).last_two_joined()
-
-        run = max(data.runs, key=lambda one: float(np.std(np.diff(one.command, axis=0))))
 
         def likeliest(models: Sequence[Hypothesis]) -> _Likely:
             found = side_by_side(lambda model: _by_own_noise(data, model, [run]), models)
@@ -289,6 +291,15 @@ class Ahead:
         )
         self.trials.append(trial)
         return Further(data, current, fitted, trial) if trial.accepted else None
+
+    def _still_shakes(self, model: Hypothesis, run: Run) -> bool:
+        """Whether a model leaves shafts shaken in a run, by the noise that fits it there."""
+        data = self._data
+        try:
+            noise = tune_noise(data.machine, [run], model.flat(data.believed), data.noise, paths=1)
+        except RunawayError:
+            return True
+        return _shakes(data.machine, noise)
 
     def _shaken(self) -> Array:
         """Root mean squares (wheels,) of what shakes the shafts and the model does not foretell."""
@@ -431,6 +442,12 @@ class Ahead:
             self._step, second, values, evidence, chance, check.gain, checked, reason, passes
         )
         return Further(data, without, both, trial)
+
+
+def _shakes(machine: Machine, noise: Noise) -> bool:
+    """Whether shafts are shaken by more than a model foretells, as by springs that it lacks."""
+    shaken_rad_s2 = float(np.sqrt(noise.coloured[0, 0]))
+    return shaken_rad_s2 >= SHAKEN * stall_acceleration_rad_s2(machine)
 
 
 def _hopes(refused: Sequence[tuple[Trial, Fit]], screened: Sequence[Screened]) -> dict[str, float]:
