@@ -1,11 +1,14 @@
 """Are electric sensors read before the command of their row begins, or after?"""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from omnislip.gap import answers
+from omnislip.gap.answers import likelier_held
 from omnislip.gap.evaluate import evaluate_model
-from omnislip.gap.first_models import first_models
+from omnislip.gap.first_models import SURELY_MISTAKEN, first_models
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import track_all, tune_noise
 from omnislip.gap.read_before import reading_machine
@@ -149,6 +152,14 @@ def test_what_electric_sensors_show_tells_when_they_are_read(sensors):
     assert before.reads_before
     assert before.holds_commands
     assert reading_machine(MACHINE, logs_of(sensors)) is MACHINE
+
+
+@pytest.mark.parametrize("share", [0.0, 2.0 * answers.ROW_BY_ROW])
+def test_currents_show_that_commands_are_held_whatever_they_answer(share, monkeypatch):
+    monkeypatch.setattr(answers, "news_of", lambda *_: SimpleNamespace(share=share))
+    runs = [make_run(MACHINE, log) for log in logs_of()]
+    noise = tune_noise(MACHINE, runs, MACHINE.believed)
+    assert SURELY_MISTAKEN < likelier_held(MACHINE, runs, MACHINE.believed, noise) < np.inf
 
 
 @pytest.mark.parametrize("before", [False, True])

@@ -100,11 +100,15 @@ ROBOT = Machine(read_model(NOMINAL_ROBOT))
 HOLDING = ROBOT.of(ROBOT.model, holds_commands=True)
 
 
-def asked(**case):
+def asked_of(machine, **case):
     truth = TruthCase(seed=8, runs=3, run_duration_s=4.0, base_offset_sd=0.0, disorder=0.0, **case)
-    runs = runs_of(ROBOT, truth)
-    noise = tune_noise(ROBOT, runs, ROBOT.believed)
-    return likelier_held(ROBOT, runs, ROBOT.believed, noise) > 0.0
+    runs = runs_of(machine, truth)
+    noise = tune_noise(machine, runs, machine.believed)
+    return likelier_held(machine, runs, machine.believed, noise)
+
+
+def asked(**case):
+    return asked_of(ROBOT, **case) > 0.0
 
 
 def test_one_run_in_which_wheels_break_loose_a_moment_later_does_not_tell(monkeypatch):
@@ -117,7 +121,8 @@ def test_one_run_in_which_wheels_break_loose_a_moment_later_does_not_tell(monkey
         lambda *_, **__: [SimpleNamespace(log_likelihood=value) for value in next(asked)],
     )
     monkeypatch.setattr(answers, "news_of", lambda *_: SimpleNamespace(share=0.0))
-    runs = [SimpleNamespace(held_in_rows=lambda: None) for _ in moved]
+    unseen = np.full((1, 13), np.nan)
+    runs = [SimpleNamespace(held_in_rows=lambda: None, outputs=unseen) for _ in moved]
     assert likelier_held(ROBOT, runs, ROBOT.believed, None) == -60.0 - 50.0 - 10.0 + 120.0 - 120.0
 
 
@@ -171,6 +176,16 @@ def test_where_nothing_jumps_the_motion_tells_nothing_of_it():
 
 def test_a_controller_faster_than_the_rows_moves_commands_within_them():
     assert not asked(closed_loop=True)
+
+
+def test_currents_show_that_a_command_moves_though_it_seems_to_be_set_row_by_row(monkeypatch):
+    """A loop at 1 kHz beside disturbances that last answers those of the row before, too."""
+    share = 2.0 * answers.ROW_BY_ROW
+    monkeypatch.setattr(answers, "news_of", lambda *_: SimpleNamespace(share=share))
+    assert asked(closed_loop=True)
+    machine = Machine(ROBOT.model, electric=True)
+    sensors = ("gyro", "pose", "supply", "current")
+    assert asked_of(machine, closed_loop=True, sensors=sensors) < -SURELY_MISTAKEN
 
 
 def test_a_robot_that_holds_its_commands_is_taken_so():

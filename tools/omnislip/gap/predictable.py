@@ -232,7 +232,7 @@ def _of_sensors(
 
     `tracks` are those of the final model with their matrices, `unnamed` of the one without effects.
     What the stamps of rows may be off by is taken out of the first, and where in its row a command
-    that moves there is out of currents. `owned`: numbers of the logs.
+    is out of currents, though it is taken as held. `owned`: numbers of the logs.
     `within_play`: variance of what nothing tells, by channel, of those that show it.
     """
     found = []
@@ -244,10 +244,9 @@ def _of_sensors(
             if len(rows) < 2:
                 continue
             innovation = white[rows, output]
-            if output >= CURRENT.start and not run.held:
-                innovation = _without_moves(
-                    innovation, run.command[:, output - CURRENT.start], rows
-                )
+            if output >= CURRENT.start:
+                wheel = output - CURRENT.start
+                innovation = _without_moves(innovation, run.command[:, wheel], rows)
             unexplained = before.innovation.reshape(run.outputs.shape)[rows, output]
             t_s, interval_s = run.t_s[rows], float(np.median(np.diff(run.t_s[rows])))
             slower = max(1.0, LEAST_READINGS * interval_s / SENSOR_PAST_S[0])
