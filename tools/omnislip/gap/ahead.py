@@ -55,11 +55,13 @@ foretell for springs to be looked for: 0.005 to 0.04 in ten sets of logs with sp
 SHAKEN_ALIKE = 0.4
 """Of how much the shaft that is shaken most is, how much that one has to be which is least: springs
 behind all of them do that (0.72 to 0.95 in twelve such sets), not a driver that lets go (0.06)."""
-STIFFNESSES = 0.03 * 1.3 ** np.arange(18)
-"""In the scale of a stiffness: a wheel that is free swings at 11 to 110 Hz. The valley of the
-likelihood is narrow, 15 % to either side, and from beyond no derivative leads there."""
-STIFFNESSES_BESIDE, LOAD_SHARES = (0.88, 1.0, 1.14), (0.12, 0.3, 0.42)
-"""Factors of the best of them, and shares of the inertia behind a spring, beside the usual."""
+STIFFNESSES = 0.03 * 2.2 ** np.arange(6)
+"""In the scale of a stiffness: a wheel that is free swings at 11 to 83 Hz. The likelihood goes up
+to its peak from far off, so that these and those beside the best lead there as 18 in steps of 1.3
+did (five sets of logs); derivatives do from 15 % off."""
+STIFFNESSES_BESIDE = 1.3 ** np.array([-2.0, -1.0, 1.0, 2.0])
+LOAD_SHARES, STIFFNESSES_NEAR = (0.12, 0.3, 0.42), (0.88, 1.14)
+"""Shares of the inertia behind a spring, beside the usual, and factors of the stiffness then."""
 SPRING_DAMPING_RATIO = 0.15
 FAR_STEPS = (0.5, 0.25)
 """Steps from the best of them, in rows or steps from size to size."""
@@ -241,15 +243,22 @@ class Ahead:
             found = side_by_side(lambda model: _by_own_noise(data, model, [run]), models)
             return max(map(_Likely, found, models), key=lambda one: one.likelihood)
 
+        def beside(
+            best: _Likely, factors: Iterable[float], load_shares: Sequence[float] = ()
+        ) -> _Likely:
+            stiffness, _, load_share = best.model.values_of(-1)
+            others = [
+                sprung(stiffness * factor, share)
+                for factor in factors
+                for share in (load_shares or (load_share,))
+            ]
+            return max(best, likeliest(others), key=lambda one: one.likelihood)
+
         scale = candidate.parameters[0].scale
         best = likeliest([sprung(scale * size, usual) for size in STIFFNESSES])
-        stiffness = best.model.values_of(-1)[0]
-        beside = [
-            sprung(stiffness * factor, load_share)
-            for factor in STIFFNESSES_BESIDE
-            for load_share in LOAD_SHARES
-        ]
-        best = max(best, likeliest(beside), key=lambda one: one.likelihood)
+        best = beside(best, STIFFNESSES_BESIDE)
+        best = beside(best, [1.0], LOAD_SHARES)
+        best = beside(best, STIFFNESSES_NEAR)
         least = likeliest([current, *([accepted.hypothesis] if accepted else [])]).likelihood
         if best.likelihood < least + SURE_GAIN / 2:
             return None
