@@ -16,7 +16,7 @@ from omnislip.gap.leftover import (
     shapes_instead,
 )
 from omnislip.gap.machine import Machine
-from omnislip.gap.noise import tune_noise
+from omnislip.gap.noise import first_guess, track_all, tune_noise
 from omnislip.gap.recordings import make_run, unwrap_counts
 from omnislip.gap.settle import believed_hypothesis, settle
 from omnislip.gap.terms import BODY_SHAPES, Term, dictionary, nameless, swing_terms
@@ -65,6 +65,29 @@ def rippling(log, wheel, order, phase_rad=0.0):
 
 def test_nothing_is_left_where_nothing_is_missing(logs):
     assert left_in(logs) == []
+
+
+def test_what_a_sensor_shows_goes_with_a_state_that_does_not_hold_its_noise(logs):
+    """A gyro that shows 0.3 rad/s too much in a row moves the state, not the turn it shows."""
+    start, told = believed_hypothesis(MACHINE), []
+    [row, *_] = np.flatnonzero(np.isfinite(logs[0].columns["gyro/z_rad_s"][300:])) + 300
+    for more_rad_s in (0.0, 0.3):
+        shown = logs[0].columns["gyro/z_rad_s"].copy()
+        shown[row] += more_rad_s
+        log = replace(logs[0], columns=logs[0].columns | {"gyro/z_rad_s": shown})
+        run = make_run(MACHINE, log)
+        noise = first_guess(MACHINE, [run])
+
+        def pushes(_, run, state, seen):
+            own = run.log_rows[row]
+            told.append((state[own], seen[own]))
+            return np.zeros((*state.shape, 1)), np.zeros((*run.outputs.shape, 1))
+
+        tracks = track_all(MACHINE, [run], MACHINE.believed, noise, keep_linear=True)
+        Data(MACHINE, [run], noise, start).responses(tracks, pushes)
+    (state, seen), (moved, unmoved) = told
+    np.testing.assert_allclose(unmoved, seen, rtol=1e-9, atol=1e-12)
+    assert moved[10] - state[10] > 0.01
 
 
 @pytest.mark.parametrize("places", [1, 2])

@@ -203,7 +203,8 @@ def news_of(machine: Machine, runs: Sequence[Run], tracks: Sequence[_core.Track]
 def likelier_held(machine: Machine, runs: Sequence[Run], values: Array, noise: Noise) -> float:
     """Return by how much (log) the motion is likelier if a robot's commands are held within rows.
 
-    `runs` are those of commands that move. Infinite where a controller sets them row by row.
+    `runs` are those of commands that move. Infinite where a controller sets them row by row
+    and no currents show it.
     (Likelihood of motion alone does not tell a controller's: the means of the next row, by which a
     command rises, answer what happened in this one. Currents show where a command is when a row
     begins: beside them some loops at 1 kHz were told row by row, by shares of up to 0.14.)

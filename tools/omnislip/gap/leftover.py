@@ -218,7 +218,7 @@ def responses(
     along = tracks or _tracks(data, fitted)
 
     def of_some(some: Sequence[Term]) -> Array:
-        columns = data.responses(along, lambda _, run, state: _pushes(state, run, some))
+        columns = data.responses(along, lambda _, run, *states: _pushes(*states, run, some))
         return free_of_fitted(fitted, columns)
 
     parts = [terms[first : first + AT_ONCE] for first in range(0, len(terms), AT_ONCE)]
@@ -519,8 +519,11 @@ def _covered_share(effect: Candidate) -> float:
     return CURVE_SHARE if effect.effect == CURVE else UNKNOWN_SHARE
 
 
-def _pushes(state: Array, run: Run, terms: Sequence[Term]) -> tuple[Array, Array]:
-    """What a unit of each term adds: rates of the states (rows, states, terms), and outputs."""
+def _pushes(state: Array, seen: Array, run: Run, terms: Sequence[Term]) -> tuple[Array, Array]:
+    """What a unit of each term adds: rates of the states (rows, states, terms), and outputs.
+
+    The rates go with the state, what sensors show with that before they corrected it.
+    """
     push = np.zeros((*state.shape, len(terms)))
     shown = np.zeros((*run.outputs.shape, len(terms)))
     time_s = run.time_s
@@ -528,6 +531,6 @@ def _pushes(state: Array, run: Run, terms: Sequence[Term]) -> tuple[Array, Array
         for pushed in term.states:
             push[:, pushed, index] = term.shape(state, run.command, time_s, pushed)
         for output in term.outputs:
-            shown[:, output, index] = term.shape(state, run.command, time_s, output)
+            shown[:, output, index] = term.shape(seen, run.command, time_s, output)
     shown[np.isnan(run.outputs)] = 0.0
     return push, shown

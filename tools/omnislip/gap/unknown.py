@@ -262,9 +262,10 @@ class _Study:
         """Whitened change of the innovations by a unit at each knot (m, knots)."""
         phases_rad = quantity.phases_rad
 
-        def pushes(number: int, run: Run, state: Array) -> tuple[Array, Array]:
+        def pushes(number: int, run: Run, state: Array, seen: Array) -> tuple[Array, Array]:
             phase_rad = 0.0 if phases_rad is None else phases_rad[number]
-            hats = _hats(quantity, knots, run, state, equation.motor, phase_rad)
+            goes_with = seen if equation.outputs else state
+            hats = _hats(quantity, knots, run, goes_with, equation.motor, phase_rad)
             push = np.zeros((*state.shape, hats.shape[1]))
             shown = np.zeros((*run.outputs.shape, hats.shape[1]))
             for index, rate in equation.push(state).items():
