@@ -19,7 +19,7 @@ from omnislip.gap.events import (
 )
 from omnislip.gap.inference import Data
 from omnislip.gap.machine import Machine
-from omnislip.gap.noise import CONTACT, track_all, tune_noise
+from omnislip.gap.noise import CONTACT, SUPPLY, first_guess, track_all, tune_noise
 from omnislip.gap.recordings import make_run
 from omnislip.gap.settle import believed_hypothesis, first_model
 from omnislip.gap.truth import TruthCase, write_case
@@ -27,7 +27,7 @@ from omnislip.log_file import POSE_COLUMNS, Log, read_log
 from omnislip.model_file import IMPACT_KEYS, NOMINAL_ROBOT, Effect, read_model, write_model
 from omnislip.scenario import Scenario, Sensors
 from omnislip.simulate import make_log, simulate_truth
-from truth_bench import logs_of
+from truth_bench import logs_of, runs_of
 
 PUSHES = [(1.5, -1.0, 0.0), (-0.5, 6.0, 0.1)]
 
@@ -40,7 +40,8 @@ def found_in(folder, push=None, stamps_s=0.0, **changed):
         seed=3, effects=(hidden,) if push else (), runs=3, run_duration_s=5.0, **changed
     )
     write_case(case, folder)
-    machine = Machine(read_model(folder / "robot.toml"))
+    model = read_model(folder / "robot.toml")
+    machine = Machine(model, electric="current" in case.sensors)
     logs = [read_log(path, "robot") for path in sorted(folder.glob("run_*.csv"))]
     rng = np.random.default_rng(0)
     logs = [replace(one, t_s=one.t_s + stamps_s * rng.normal(size=len(one.t_s))) for one in logs]
@@ -56,6 +57,38 @@ def test_a_push_is_found_at_its_time(tmp_path, push):
     assert impact.run == "run_02"
     assert impact.time_s == pytest.approx(2.5031, abs=0.015)
     assert abs(impact.time_s - 2.5031) < 3 * impact.time_deviation_s
+
+
+def test_pushes_are_told_by_motion_not_by_volts_and_amperes():
+    """Those show where in its row a command is, which a replay does not know."""
+    machine = Machine(read_model(NOMINAL_ROBOT), electric=True)
+    sensors = ("gyro", "pose", "supply", "current")
+    case = TruthCase(seed=3, runs=1, run_duration_s=3.0, closed_loop=True, sensors=sensors)
+    [run] = runs_of(machine, case)
+    values, noise = machine.believed, first_guess(machine, [run])
+    [track] = track_all(machine, [run], values, noise, keep_linear=True)
+    outputs = run.outputs.shape[1]
+    whitening = track.whitening.reshape(-1, outputs, outputs)
+    assert not whitening[:, :SUPPLY, SUPPLY:].any()
+    assert whitening[:, SUPPLY:, :SUPPLY].any()
+    assert events.Jumps(machine, run, track).white.shape[1] == SUPPLY < outputs
+    filtered = track.state.reshape(len(run.t_s), -1)
+    other = run.outputs.copy()
+    other[:, SUPPLY:] += 5.0
+    windows = [
+        events._Window(machine, one, 300, values, noise, filtered)
+        for one in (run, replace(run, outputs=other))
+    ]
+    assert windows[0].quiet == windows[1].quiet > 0.0
+    assert windows[0].readings == windows[1].readings > 0
+
+
+@pytest.mark.parametrize("push", PUSHES)
+def test_a_push_is_found_in_a_loop_at_1_khz_whose_currents_are_logged(tmp_path, push):
+    sensors = ("gyro", "pose", "supply", "current")
+    [impact] = found_in(tmp_path, push, closed_loop=True, sensors=sensors)
+    assert impact.run == "run_02"
+    assert impact.time_s == pytest.approx(2.5031, abs=0.015)
 
 
 @pytest.mark.parametrize("push", PUSHES)

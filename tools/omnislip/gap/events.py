@@ -32,7 +32,15 @@ from scipy.optimize import least_squares
 from omnislip import _core
 from omnislip.gap.machine import LESS_GRIP, POSE_X, Machine, stall_current_a
 from omnislip.gap.metrics import WINDOW_S
-from omnislip.gap.noise import STAMP_S, Noise, run_free, stamp_slope, track_all, track_recordings
+from omnislip.gap.noise import (
+    STAMP_S,
+    SUPPLY,
+    Noise,
+    run_free,
+    stamp_slope,
+    track_all,
+    track_recordings,
+)
 from omnislip.gap.recordings import Run, rim_m_per_rad
 from omnislip.gap.side_by_side import side_by_side
 from omnislip.gap.within_rows import joined
@@ -101,6 +109,8 @@ BEFORE_S, CUT_S = 0.01, 0.05
 contact of the pusher."""
 LEAST_PIECE_S = 1.0
 VELOCITY, HEADING, POSE = slice(8, 11), 13, slice(POSE_X, POSE_X + 3)
+MOTION = slice(0, SUPPLY)
+"""Outputs that show how the robot moves, none of volts and amperes."""
 PROBE = np.array([0.05, 0.05, 0.1])
 WHEELS = 4
 SIDESTEP = 0.01
@@ -555,7 +565,8 @@ class _Window:
     so few rows what they do there is little beside the noise of a replay. What a row's stamp may be
     off by, all its sensors are on by as far as they go in that time: errors are whitened against
     that, too. With d what they go in a standard deviation of the stamp, (I + d d')^-1/2 takes a
-    share 1 - 1 / sqrt(1 + d'd) of the errors along d away.
+    share 1 - 1 / sqrt(1 + d'd) of the errors along d away. Volts and amperes are not looked at:
+    they show where in its row a command is, and so errors that no push explains.
     """
 
     def __init__(
@@ -578,6 +589,7 @@ class _Window:
         self._command = run.command[first - 1 : end]
         self._outputs = run.outputs[first - 1 : end].copy()
         self._outputs[0] = np.nan
+        self._outputs[:, SUPPLY:] = np.nan
         self._shown_s = machine.shown_s(values, self._t_s)
         self._outputs[self._shown_s < self._t_s[0], POSE] = np.nan
         self._start = filtered[first - 1][: machine.engine.states]
@@ -771,7 +783,8 @@ def _explained(quiet: float, fits: Sequence[_JumpFit], chance: float) -> float:
 class Jumps:
     """What jumps of some states before each row of a run would do to its whitened innovations.
 
-    By default of the body's velocity, as a push makes.
+    By default of the body's velocity, as a push makes, to those of counts, gyro and camera: volts
+    and amperes show where in its row a command is.
     """
 
     def __init__(
@@ -781,14 +794,16 @@ class Jumps:
         track: _core.Track,
         jumped: slice = VELOCITY,
         horizon_s: float = HORIZON_S,
+        outputs: slice = MOTION,
     ) -> None:
         n, m, rows = track.filter_states, machine.engine.outputs, len(run.t_s)
         sampled = ~np.isnan(run.outputs)
         slope = np.where(sampled[:, :, None], track.slope.reshape(rows, m, n), 0.0)
         gain, whitening = track.gain.reshape(rows, n, m), track.whitening.reshape(rows, m, m)
         innovation = np.where(sampled, track.innovation.reshape(rows, m), 0.0)
-        self.white = np.einsum("rij,rj->ri", whitening, innovation)
-        self.shown = -(whitening @ slope)
+        # Each is free of what those before it tell (`whitening` is lower triangular).
+        self.white = np.einsum("rij,rj->ri", whitening, innovation)[:, outputs]
+        self.shown = -(whitening @ slope)[:, outputs]
         self._transition = track.transition.reshape(rows, n, n)
         self.carry = self._transition - self._transition @ gain @ slope
         self.horizon = max(LEAST_ROWS, round(horizon_s / run.row_s))
