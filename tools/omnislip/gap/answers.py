@@ -24,8 +24,8 @@ and Stoica, Instrumental variable methods for system identification, 1983; Woold
 analysis of cross section and panel data, chapter 5.)
 
 Nor is chance how a command moves within a row (rows.py). A controller that is as slow as the rows
-holds it, and one that is faster moves it as the means tell: `likelier_held` asks the motion which,
-`likelier_with_rows` whether what is held jumps within rows or where they begin.
+holds it, and one that is faster moves it as the means tell: `likelier_held` asks motion and
+currents which, `likelier_with_rows` whether what is held jumps within rows or where they begin.
 Where commands are taken as held, how far they rise all the same is taken out of r: w, what is
 changed by commands that rise at the rate of their means, times how far they do, by the same
 instruments -w~'r / w~'w, between 0 and 1.
@@ -79,7 +79,7 @@ CHANCE_S = 0.03
 ROW_BY_ROW = 0.05
 """Share of what is new in a command that innovations explain from which on it is set row by row by
 what was measured at its begin: 0.12 to 0.72 of such controllers, up to 0.02 of those at 1 kHz,
-whose rows mostly answer what happens within them, but of some with wheels held tightly 0.22."""
+whose rows mostly answer what happens within them, in most sets of logs; in a few 0.22."""
 MOST_OF_A_RUN = 2.0
 """How much of what half of the runs reach, or more, one of them may tell how commands move.
 All are of one controller; in one wheels broke loose a moment later than beside a model, and it told
@@ -203,18 +203,18 @@ def news_of(machine: Machine, runs: Sequence[Run], tracks: Sequence[_core.Track]
 def likelier_held(machine: Machine, runs: Sequence[Run], values: Array, noise: Noise) -> float:
     """Return by how much (log) the motion is likelier if a robot's commands are held within rows.
 
-    `runs` are those of commands that move. Infinite where a controller sets them row by row
-    and no currents show it.
-    (Likelihood of motion alone does not tell a controller's: the means of the next row, by which a
-    command rises, answer what happened in this one. Currents show where a command is when a row
-    begins: beside them some loops at 1 kHz were told row by row, by shares of up to 0.14.)
+    `runs` are those of commands that move. Infinite where a controller seems to set them row by row
+    and no currents show whether it does. (Likelihood of motion alone does not tell a
+    controller's: the means of the next row, by which a command rises, answer what happened in this
+    one. Currents show where a command is when a row begins: of loops at 1 kHz that have them some
+    seemed to be set row by row, by shares of up to 0.14.)
     """
     if machine.kind != "robot":
         return -np.inf
     tracks = track_all(machine, runs, values, noise, keep_linear=True)
     moved = np.array([track.log_likelihood for track in tracks])
-    row_by_row = news_of(machine, runs, tracks).share > ROW_BY_ROW
-    if np.isfinite(moved).all() and row_by_row and not _show_currents(runs):
+    blind = np.isfinite(moved).all() and not _show_currents(runs)
+    if blind and news_of(machine, runs, tracks).share > ROW_BY_ROW:
         return np.inf
     return _likelier(moved, _likelihoods(machine, [r.held_in_rows() for r in runs], values, noise))
 

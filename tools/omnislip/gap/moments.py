@@ -78,7 +78,7 @@ def find_moments(
 def _moments_in(
     machine: Machine, run: Run, track: _core.Track, values: Array, noise: Noise
 ) -> list[Moment]:
-    jumps = Jumps(machine, run, track, SHAFT, HORIZON_S, slice(None))
+    jumps = Jumps(machine, run, track, SHAFT, HORIZON_S, outputs=slice(None))
     ratio, jump, _ = jumps.ratios()
     level = float(np.percentile(ratio[jumps.first :], 80))
     least = max(LEAST_RATIO, OVER_LEVEL * level)
