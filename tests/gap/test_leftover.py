@@ -180,6 +180,26 @@ def test_what_sets_in_beyond_a_threshold_is_named_though_that_is_not_known(model
     assert "speed beyond" in found.dependence
 
 
+@pytest.mark.parametrize(
+    ("equation", "state", "dependence", "of"),
+    [
+        ("body/moment", 10, "speed along x and y", lambda vx, vy, w: vx * vy),
+        ("body/moment", 10, "speed along y squared, against it", lambda vx, vy, w: vy * abs(vy)),
+        ("body/moment", 10, "yaw rate and speed along x", lambda vx, vy, w: w * vx),
+        ("body/force_x", 8, "speed across squared", lambda vx, vy, w: vy**2),
+        ("body/force_y", 9, "yaw rate and own speed", lambda vx, vy, w: w * vy),
+    ],
+)
+def test_forces_by_products_of_the_body_s_speeds_are_named(model, equation, state, dependence, of):
+    """The residuals are moved by 25 standard deviations of what each would do to them."""
+    data, fitted = model
+    hidden = Term(equation, "hidden", (state,), lambda x, d, t, i: of(*x[:, 8:11].T))
+    [column] = responses(data, fitted, [hidden]).T
+    moved = replace(fitted, residual=fitted.residual + 25.0 / np.linalg.norm(column) * column)
+    found = left_of(data, moved)[0]
+    assert (found.equation, found.dependence) == (equation, dependence)
+
+
 @settings(max_examples=20, deadline=None)
 @given(
     st.sampled_from(["hill", "pull"]),

@@ -5,17 +5,25 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from omnislip.gap.machine import Machine, no_load_speed_rad_s, stall_acceleration_rad_s2
+from omnislip.gap.events import Jumps
+from omnislip.gap.machine import (
+    Machine,
+    count_rad,
+    no_load_speed_rad_s,
+    stall_acceleration_rad_s2,
+)
 from omnislip.gap.moments import (
+    HORIZON_S,
     LEAST_LOGS,
     LEAST_MOMENTS,
+    LEAST_RATIO,
     Moment,
     _feigned_rad_s,
     _met_rad_s,
     _own_jump_rad_s,
     find_moments,
 )
-from omnislip.gap.noise import SHAFT, first_guess, run_free, track_all
+from omnislip.gap.noise import SHAFT, STAMP_S, first_guess, run_free, track_all
 from omnislip.gap.recordings import make_run
 from omnislip.gap.settle import believed_hypothesis, settle
 from omnislip.gap.truth import TruthCase
@@ -194,6 +202,34 @@ def test_a_cut_out_shows_beside_stamps_that_are_off():
     assert len(found) >= LEAST_MOMENTS
     squares = np.mean([one.jump_rad_s**2 for one in found], axis=0)
     assert squares[2] > 0.8 * squares.sum()
+
+
+def test_counts_that_are_rounded_the_other_way_are_no_jump():
+    """Three shafts that rest show a count of 64 a turn more or less from one row on.
+
+    By the sensors' own noise that is a jump of speeds beyond chance, beside rounding it is none.
+    One that spins up instead, by two counts a row, is.
+    """
+    values = MACHINE.model.values | {"encoder.counts_per_rev": 64.0}
+    coarse = Machine(replace(MACHINE.model, values=values))
+    [log, *_] = logs_of(truth_case())
+    still = {name: np.zeros(len(log.t_s)) for name in log.columns}
+    noise = first_guess(coarse, [make_run(coarse, replace(log, columns=still))])
+    row, since = 300, np.arange(len(log.t_s)) - 300
+
+    def ratios(*shown):
+        counts = {f"wheel/{i}/encoder_counts": own for i, own in enumerate(shown, start=1)}
+        run = make_run(coarse, replace(log, columns=still | counts))
+        [track] = track_all(coarse, [run], coarse.believed, noise, keep_linear=True)
+        jumps = Jumps(coarse, run, track, SHAFT, HORIZON_S, outputs=slice(None))
+        rate = np.gradient(track.state.reshape(len(run.t_s), -1), run.t_s, axis=0)
+        roundings_rad = (1e-6, count_rad(coarse) / np.sqrt(6.0))
+        return [jumps.ratio_beside_misreadings(row, rate, STAMP_S, one) for one in roundings_rad]
+
+    count = np.where(since >= 0, 1.0, 0.0)
+    exact, beside = ratios(count, -count, count)
+    assert exact > LEAST_RATIO > 2.0 * beside
+    assert ratios(2.0 * np.maximum(since + 1, 0))[1] > LEAST_RATIO
 
 
 def test_words_tell_how_often_which_wheel_and_when_most():

@@ -33,6 +33,7 @@ from omnislip import _core
 from omnislip.gap.machine import LESS_GRIP, POSE_X, Machine, stall_current_a
 from omnislip.gap.metrics import WINDOW_S
 from omnislip.gap.noise import (
+    ENCODER,
     STAMP_S,
     SUPPLY,
     Noise,
@@ -837,11 +838,15 @@ class Jumps:
         ratio[: self.first if first_row is None else first_row] = 0.0
         return ratio, jump, ratio / np.maximum(energy, 1e-12)
 
-    def ratio_beside_stamps(self, row: int, rate: Array, stamp_s: float) -> float:
-        """Return g of a jump before a row beside stamps that are off and a clock that skips there.
+    def ratio_beside_misreadings(
+        self, row: int, rate: Array, stamp_s: float, rounded_rad: float
+    ) -> float:
+        """Return g of a jump before a row beside stamps that are off, a clock that skips there, and
+        counts that are rounded otherwise from there on.
 
         `rate` (rows, filter states): what the state does in a second, for what was read late is
-        that much further on. `stamp_s` is the standard deviation of how late.
+        that much further on. `stamp_s` is the standard deviation of how late, `rounded_rad` that of
+        what rounding adds to a shaft's angle.
         """
         end, first = min(row + self.horizon, len(self.white)), max(row - 1, 0)
 
@@ -858,12 +863,14 @@ class Jumps:
             if k >= row:
                 own.reshape(end - row, -1)[k - row] = self.shown[k] @ rate[k]
             stamps.append(own)
-        late, jump = np.hstack(stamps), shown_by(self._unit, row)
-        stamped, free = late.shape[1], jump.shape[1]
-        late = np.vstack([late, np.eye(stamped) / stamp_s])
-        jump = np.vstack([jump, np.zeros((stamped, free))])
-        white = np.r_[self.white[row:end].ravel(), np.zeros(stamped)]
-        return _told_by(np.hstack([jump, late]), white) - _told_by(late, white)
+        late, jump = stamp_s * np.hstack(stamps), shown_by(self._unit, row)
+        rounded = rounded_rad * shown_by(np.eye(len(self.carry[row]))[:, ENCODER], row)
+        misread = np.hstack([late, rounded])
+        unsure, free = misread.shape[1], jump.shape[1]
+        misread = np.vstack([misread, np.eye(unsure)])
+        jump = np.vstack([jump, np.zeros((unsure, free))])
+        white = np.r_[self.white[row:end].ravel(), np.zeros(unsure)]
+        return _told_by(np.hstack([jump, misread]), white) - _told_by(misread, white)
 
     def _misled(self, row: int) -> Array:
         """Return what the state is off before the next row by a reading of another one."""

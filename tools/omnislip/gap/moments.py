@@ -10,6 +10,9 @@ the mean of a row does not tell when within the row it did, nor where rows were 
 bends, a jump has to be larger than what that may feign. Nor is it what the rows' stamps may be off
 by: a row that was read d late shows every sensor as much further on as it goes in d, and a clock
 that skips shows it so from then on. A jump has to gain beside both, each known to some `STAMP_S`.
+Nor is it a count: a shaft that hardly turns is rounded the same way in row after row, which is no
+white noise, and then the other way (of 64 counts a turn, three wheels at rest at once: g = 45). The
+error of a rounded reading is uniform over a count; one may differ by the count over sqrt(6).
 Nor is it what the model does of a sudden itself: where an encoder begins to lose counts, a driver
 to coast, wheels grip again or pass an edge in the floor, it may be some rows early or late. Nor is
 it where teeth meet, for nothing tells before that where in its play a gear is.
@@ -25,7 +28,12 @@ from scipy.ndimage import maximum_filter1d
 
 from omnislip import _core
 from omnislip.gap.events import COMMAND_JUMP, REPLAY_STEP_S, SPAN_ROWS, Jumps, peaks
-from omnislip.gap.machine import Machine, no_load_speed_rad_s, stall_acceleration_rad_s2
+from omnislip.gap.machine import (
+    Machine,
+    count_rad,
+    no_load_speed_rad_s,
+    stall_acceleration_rad_s2,
+)
 from omnislip.gap.noise import CURRENT, ENCODER, SHAFT, STAMP_S, Noise, run_free
 from omnislip.gap.recordings import LOST, Run
 from omnislip.gap.side_by_side import side_by_side
@@ -86,13 +94,14 @@ def _moments_in(
     rate = np.gradient(filtered, run.t_s, axis=0)
     unsure, bent_rad_s = _unsure(run), _feigned_rad_s(machine, run)
     feigned_rad_s = bent_rad_s[:, None] + _met_rad_s(machine, run, filtered, values)
+    rounded_rad = count_rad(machine) / np.sqrt(6.0)
     found = []
     for row in peaks(run.t_s, ratio, least):
         most = int(np.argmax(np.abs(jump[row])))
         beyond_rad_s = abs(jump[row, most]) - feigned_rad_s[row, most]
         if unsure[row] or beyond_rad_s <= 0.0:
             continue
-        if jumps.ratio_beside_stamps(row, rate, STAMP_S) <= least:
+        if jumps.ratio_beside_misreadings(row, rate, STAMP_S, rounded_rad) <= least:
             continue
         own_rad_s = _own_jump_rad_s(machine, run, row, filtered, values, noise)[most]
         if beyond_rad_s > MISLED * own_rad_s:

@@ -618,10 +618,19 @@ YAW_SHAPES: dict[str, Callable[..., Array]] = {
     "yaw rate squared, against it": lambda x, d, t, i: x[:, 10] * np.abs(x[:, 10]),
     "speed along x": lambda x, d, t, i: x[:, 8],
     "speed along y": lambda x, d, t, i: x[:, 9],
+    "speed along x squared, against it": lambda x, d, t, i: x[:, 8] * np.abs(x[:, 8]),
+    "speed along y squared, against it": lambda x, d, t, i: x[:, 9] * np.abs(x[:, 9]),
+    "speed along x and y": lambda x, d, t, i: x[:, 8] * x[:, 9],
+    "speed either way": lambda x, d, t, i: np.hypot(x[:, 8], x[:, 9]),
+    "yaw rate and speed along x": lambda x, d, t, i: x[:, 10] * x[:, 8],
+    "yaw rate and speed along y": lambda x, d, t, i: x[:, 10] * x[:, 9],
     "place x": lambda x, d, t, i: x[:, 11],
     "place y": lambda x, d, t, i: x[:, 12],
     "time": lambda x, d, t, i: t,
 }
+"""Moments. By both speeds: a long body that goes aslant through air or over a carpet turns across
+its way (Munk), by 30 mN m at 0.3 m/s in one set of logs, less than its noise: without this term
+there was no gap in them, with it that gains 1,049."""
 
 BODY_SHAPES: dict[str, Callable[..., Array]] = {
     "constant": lambda x, d, t, i: np.ones(len(x)),
@@ -630,8 +639,11 @@ BODY_SHAPES: dict[str, Callable[..., Array]] = {
     "own speed cubed": lambda x, d, t, i: x[:, i] ** 3,
     "own speed while it slows": lambda x, d, t, i: x[:, i] * _slows(t, x[:, i]),
     "speed across": lambda x, d, t, i: x[:, 17 - i],
+    "speed across squared": lambda x, d, t, i: x[:, 17 - i] ** 2,
     "speed along and across": lambda x, d, t, i: x[:, 8] * x[:, 9],
     "yaw rate": lambda x, d, t, i: x[:, 10],
+    "yaw rate squared": lambda x, d, t, i: x[:, 10] ** 2,
+    "yaw rate and own speed": lambda x, d, t, i: x[:, 10] * x[:, i],
     "yaw rate and speed across": lambda x, d, t, i: x[:, 10] * x[:, 17 - i],
     "time and speed": lambda x, d, t, i: t * x[:, i],
 }
