@@ -6,8 +6,10 @@ effects are found is measured by `omnislip gap benchmark`, not here.
 
 import json
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
+import axis_bench
 import numpy as np
 import pandas as pd
 import pytest
@@ -516,6 +518,23 @@ def test_where_only_what_was_held_out_is_off_that_is_said(tmp_path):
     assert findings.verdict == "unknown_effect"
     assert "what is off is in run_01, held out" in findings.sentence
     assert findings.places == [] and findings.gap_map is None
+
+
+def test_what_only_the_held_out_log_shows_is_named_with_another_one_held_out(tmp_path, monkeypatch):
+    """Two slow logs and a fast one, with a drag by the square of the speed."""
+    model, logs = axis_case(tmp_path, Bench(quadratic_n=6.0), seeds=[2])
+    slow = partial(axis_bench.multisine, volt=0.3)
+    monkeypatch.setattr(axis_bench, "multisine", slow)
+    _, others = axis_case(tmp_path, Bench(quadratic_n=6.0), seeds=range(2))
+    told = []
+    findings = find_gap(model, [*others, *logs], told.append)
+    assert [one.candidate.name for one in findings.outcome.selected] == ["quadratic_wheel_drag"]
+    [size] = findings.outcome.selected[0].values
+    assert size == pytest.approx(6.0, rel=0.1)
+    assert findings.split.logs_held_out == ["run_01"]
+    assert any(line.startswith("again with other logs held out") for line in told)
+    [line] = [line for line in findings.recording if "held out first" in line]
+    assert line.startswith("run_02: ")
 
 
 def test_a_gap_cuts_its_own_log_only(tmp_path):

@@ -1,6 +1,6 @@
 """One step further than the search: by the noise an effect leaves, in pairs, far from none."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -42,19 +42,22 @@ BEAM, BEAM_REFITS = 3, 6
 """Candidates that are looked ahead from, and seconds that are refitted beside each."""
 PULLED_BY = (1.5, 2.0, 3.0)
 """How much larger an effect may be than noise that covers it lets it seem."""
+PLAY, SPRING = "gear_backlash", "shaft_compliance"
 FAR_DELAYS_ROWS = (1.5, 2.0, 3.0, 4.0, 6.0)
-FAR_SIZES = {"gear_backlash": (0.4, 1.35, 13), "bristle_relaxation": (0.2, 1.6, 12)}
+FAR_SIZES = {PLAY: (0.4, 1.35, 13), "bristle_relaxation": (0.2, 1.6, 12)}
 """Delays, in rows, and sizes where no derivative leads: the first in its scale, its factor to the
 next and how many (plays of 4 to 150 mrad of a robot, bristles of 0.2 to 35 mm). Of 63 mrad a play
 of 40 explains less than none."""
-SPRING = "shaft_compliance"
 SHAKEN = 0.003
 """Of a motor's acceleration at stall, how much its shaft has to be shaken by what a model does not
-foretell for springs to be looked for: 0.005 to 0.04 in ten sets of logs with springs that it lacks,
-0.0002 to 0.0036 in twelve nulls."""
+foretell for play and springs to be looked for: 0.005 to 0.04 in ten sets of logs with springs that
+it lacks, 0.006 to 0.013 in four with play, 0.0002 to 0.0036 in twelve nulls."""
 SHAKEN_ALIKE = 0.4
 """Of how much the shaft that is shaken most is, how much that one has to be which is least: springs
 behind all of them do that (0.72 to 0.95 in twelve such sets), not a driver that lets go (0.06)."""
+PLAYS_APART, PLAY_STEPS = 3, (1.35, 1.16, 1.08)
+"""Of the sizes of play every third, and factors from the best: by noise that fits each the
+likelihood rises to its peak from a factor of 2.5 off on both sides (four sets of logs)."""
 STIFFNESSES = 0.03 * 2.2 ** np.arange(6)
 """In the scale of a stiffness: a wheel that is free swings at 11 to 83 Hz. The likelihood goes up
 to its peak from far off, so that these and those beside the best lead there as 18 in steps of 1.3
@@ -90,6 +93,10 @@ class _Likely:
     model: Hypothesis
 
 
+_Likeliest = Callable[[Sequence[Hypothesis]], _Likely]
+"""The likeliest of some models, each by noise that fits it."""
+
+
 class Ahead:
     """One step further, where none was taken or what promises nothing at first explains more.
 
@@ -111,7 +118,7 @@ class Ahead:
         self._candidates, self._step, self._tried = candidates, step, tried * BEAM
         self._progress = progress
         self.trials: list[Trial] = []
-        self.looked_for_springs = False
+        self.looked_for_loose = False
 
     def best(
         self, refused: Sequence[tuple[Trial, Fit]], screened: Sequence[Screened]
@@ -206,18 +213,19 @@ class Ahead:
         size = found.fitted.hypothesis.values_of(len(current.effects))[0]
         return found if found.trial.accepted and size >= sizes[0] else None
 
-    def springs(self, accepted: Fit | None) -> Further | None:
-        """Return the model whose shafts are springs, if that is likelier than anything.
+    def loose(self, accepted: Fit | None) -> Further | None:
+        """Return the model whose shafts are springs or have play, if that is likelier than all.
 
-        Each stiffness by noise that fits it, in the run that is driven most: what was tuned without
-        springs covers what they do, and by its filter they gain a tenth of what a heavier rotor
-        does, which was named, and the rest unknown. What was accepted has to leave shafts shaken.
+        Each size by noise that fits it, in the run that is driven most: what was tuned without
+        covers what they do, and by its filter springs gain a tenth of what a heavier rotor does,
+        which was named, and the rest unknown. So do plays that are a seventh off: of 127 mrad a
+        spring was named and an inertia. What was accepted has to leave shafts shaken.
         """
-        data, current = self._data, self._current.hypothesis
+        data = self._data
         machine = data.machine
-        if machine.kind != "robot" or SPRING not in {c.effect for c in self._candidates}:
-            return None
-        if not _shakes(machine, data.noise):
+        missing = {c.effect for c in self._candidates} & {SPRING, PLAY}
+        offered = {c.effect: c for c in machine.candidates() if c.effect in missing}
+        if machine.kind != "robot" or not offered or not _shakes(machine, data.noise):
             return None
         shaken = self._shaken()
         if shaken.min() < SHAKEN_ALIKE * shaken.max():
@@ -225,9 +233,41 @@ class Ahead:
         run = max(data.runs, key=lambda one: float(np.std(np.diff(one.command, axis=0))))
         if accepted is not None and not self._still_shakes(accepted.hypothesis, run):
             return None
-        self.looked_for_springs = True
-        self._progress(f"step {self._step}: looking for springs")
-        [candidate] = [c for c in machine.candidates() if c.effect == SPRING]
+        self.looked_for_loose = True
+        self._progress(f"step {self._step}: looking for play and springs")
+
+        def likeliest(models: Sequence[Hypothesis]) -> _Likely:
+            found = side_by_side(lambda model: _by_own_noise(data, model, [run]), models)
+            return max(map(_Likely, found, models), key=lambda one: one.likelihood)
+
+        looks = {SPRING: self._likeliest_spring, PLAY: self._likeliest_play}
+        found = [looks[effect](candidate, likeliest) for effect, candidate in offered.items()]
+        best = max(found, key=lambda one: one.likelihood)
+        others = [self._current.hypothesis, *([accepted.hypothesis] if accepted else [])]
+        if best.likelihood < likeliest(others).likelihood + SURE_GAIN / 2:
+            return None
+        further = self._by_its_noise(best.model.effects[-1], best.model)
+        if further is None:
+            return None
+        self.trials.append(further.trial)
+        return further if further.trial.accepted else None
+
+    def _likeliest_play(self, candidate: Candidate, likeliest: _Likeliest) -> _Likely:
+        """Return the likeliest model with play, from coarse sizes to finer ones."""
+
+        def with_play(size: float) -> Hypothesis:
+            return self._current.hypothesis.with_effect(candidate, [size])
+
+        best = likeliest([with_play(size) for size in _far_sizes(candidate)[::PLAYS_APART]])
+        for step in PLAY_STEPS:
+            [size] = best.model.values_of(-1)
+            beside = likeliest([with_play(size / step), with_play(size * step)])
+            best = max(best, beside, key=lambda one: one.likelihood)
+        return best
+
+    def _likeliest_spring(self, candidate: Candidate, likeliest: _Likeliest) -> _Likely:
+        """Return the likeliest model with springs, from coarse stiffnesses to finer ones."""
+        machine, current = self._data.machine, self._current.hypothesis
         [share] = machine.refinements(candidate)
         values = machine.model.values
         inertia = values["motor.inertia_kg_m2"] * values["motor.gear_ratio"] ** 2
@@ -238,10 +278,6 @@ class Ahead:
             damping = 2.0 * SPRING_DAMPING_RATIO * np.sqrt(stiffness * reduced)
             spring = current.with_effect(candidate, [stiffness, damping])
             return spring.with_effect(share, [load_share]).last_two_joined()
-
-        def likeliest(models: Sequence[Hypothesis]) -> _Likely:
-            found = side_by_side(lambda model: _by_own_noise(data, model, [run]), models)
-            return max(map(_Likely, found, models), key=lambda one: one.likelihood)
 
         def beside(
             best: _Likely, factors: Iterable[float], load_shares: Sequence[float] = ()
@@ -258,15 +294,7 @@ class Ahead:
         best = likeliest([sprung(scale * size, usual) for size in STIFFNESSES])
         best = beside(best, STIFFNESSES_BESIDE)
         best = beside(best, [1.0], LOAD_SHARES)
-        best = beside(best, STIFFNESSES_NEAR)
-        least = likeliest([current, *([accepted.hypothesis] if accepted else [])]).likelihood
-        if best.likelihood < least + SURE_GAIN / 2:
-            return None
-        found = self._by_its_noise(best.model.effects[-1], best.model)
-        if found is None:
-            return None
-        self.trials.append(found.trial)
-        return found if found.trial.accepted else None
+        return beside(best, STIFFNESSES_NEAR)
 
     def by_another_law(self, refused: Sequence[Trial]) -> Further | None:
         """Return the model with the friction curve of another law, if that helps.

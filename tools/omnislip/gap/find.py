@@ -3,7 +3,7 @@
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +28,15 @@ from omnislip.gap.inference import Data, Hypothesis, fit
 from omnislip.gap.inverse import relative_force_error
 from omnislip.gap.leftover import Leftover, find_shapes
 from omnislip.gap.machine import Machine
-from omnislip.gap.metrics import Closed, GapTable, Replays, channel_rmse, gap_table, replay_all
+from omnislip.gap.metrics import (
+    LEAST_EXCESS,
+    Closed,
+    GapTable,
+    Replays,
+    channel_rmse,
+    gap_table,
+    replay_all,
+)
 from omnislip.gap.moments import find_moments
 from omnislip.gap.noise import Noise, RunawayError, judging_noise, track_all
 from omnislip.gap.plan import separating_manoeuvre
@@ -47,6 +55,7 @@ from omnislip.gap.split import (
 )
 from omnislip.gap.unknown import describe_unknown
 from omnislip.gap.verdict import (
+    FAR_EXCESS,
     STABLE,
     closes_nothing,
     judge_outcome,
@@ -68,6 +77,7 @@ from omnislip.gap.words import (
     one_wiring_words,
     only_held_out_words,
     short_delay_words,
+    turned_words,
     undecided_words,
     unproven_words,
     unstable_words,
@@ -84,6 +94,10 @@ Array = npt.NDArray[np.float64]
 MOST_AGAIN, MOST_TURNS = 2, 2
 """Searches more, where a model shows pushes that were not cut out, and where one shows that
 commands move otherwise."""
+
+
+_Judged = tuple[Noise, list[Replays], list[Replays], GapTable]
+"""The noise that judges, replays of held-out and of fitted runs, and what the first say."""
 
 
 @dataclass
@@ -111,6 +125,11 @@ class _Searched:
     runs: list[Run]
     impacts: list[Impact]
 
+    @cached_property
+    def judged(self) -> _Judged:
+        """How its replays compare."""
+        return _judged(self.machine, self.split, self.outcome)
+
 
 class _InsufficientError(Exception):
     """These logs deserve no other verdict."""
@@ -133,7 +152,7 @@ def find_gap(
     recorded = _read(model_path, log_paths, effects_path, progress)
     try:
         _pass_gates(recorded, progress)
-        searched = _search(recorded, progress)
+        recorded, searched = _search_by_turns(recorded, progress)
         unchecked = _judge_logs(recorded, searched)
     except _InsufficientError as error:
         return _insufficient(recorded, error)
@@ -177,8 +196,47 @@ def _pass_gates(recorded: _Recorded, progress: Progress) -> None:
     recorded.cuts = checked.cuts + known_pushes(recorded.model, recorded.logs)
 
 
-def _search(recorded: _Recorded, progress: Progress) -> _Searched:
-    """Search for what is missing, again where only a better model shows pushes or commands."""
+def _search_by_turns(recorded: _Recorded, progress: Progress) -> tuple[_Recorded, _Searched]:
+    """Search, and again with other logs held out where these hold what no fitted one does.
+
+    A patch in the floor, say, that only the last log comes by: what is not fitted gets no name.
+    Where that does not explain all logs, either, they may be of several robots.
+    """
+    told = list(recorded.told)
+    searched = _search(recorded, progress)
+    if not _off_only_held_out(searched):
+        return recorded, searched
+    progress("again with other logs held out: what is off is in these only")
+    told.append(turned_words(searched.split))
+    turned = replace(recorded, logs=[recorded.logs[-1], *recorded.logs[:-1]], told=told)
+    try:
+        again = _search(turned, progress, searched.outcome.found)
+    except _InsufficientError:
+        return recorded, searched
+    fitted, held_out = _excess(again)
+    explained = fitted < LEAST_EXCESS and held_out < FAR_EXCESS
+    return (turned, again) if explained else (recorded, searched)
+
+
+def _off_only_held_out(searched: _Searched) -> bool:
+    """Whether the model is far off in logs that are held out, and explains what was fitted."""
+    if not searched.split.logs_held_out:
+        return False
+    fitted, held_out = _excess(searched)
+    return fitted < LEAST_EXCESS and held_out > FAR_EXCESS
+
+
+def _excess(searched: _Searched) -> tuple[float, float]:
+    """Return what the final model leaves of the square errors of fitted and held-out runs."""
+    _, _, fitted, table = searched.judged
+    return gap_table(fitted).left.excess, table.left.excess
+
+
+def _search(recorded: _Recorded, progress: Progress, found: Found | None = None) -> _Searched:
+    """Search for what is missing, again where only a better model shows pushes or commands.
+
+    `found`: what was found when other logs were held out, to go on from.
+    """
     progress("looking for impacts")
     logs, cuts = recorded.logs, recorded.cuts
     known = split_runs(recorded.machine, logs, cuts)
@@ -188,7 +246,7 @@ def _search(recorded: _Recorded, progress: Progress) -> _Searched:
         raise _InsufficientError(too_cut(known))
     machine, noise, first = first_models(recorded.machine, known.fitting)
     runs, impacts = _pushes_beside(machine, logs, cuts, first, noise)
-    least, found = 0, None
+    least = 0
     left, turns = MOST_AGAIN, MOST_TURNS
     while True:
         pushes = cuts + [(impact.run, impact.time_s) for impact in impacts]
@@ -258,7 +316,7 @@ def _findings(
     impacts, (wiring, *other_wirings) = searched.impacts, recorded.wirings
     progress("replaying the held-out runs")
     believed, fitted = machine.believed, split.fitting
-    judging, replays, fitted_replays, table = _judged(machine, split, outcome)
+    judging, replays, fitted_replays, table = searched.judged
     unproven = ""
     if outcome.selected and closes_nothing(outcome.selected, table):
         unproven = unproven_words(outcome.selected, table)
@@ -340,13 +398,8 @@ def _findings(
     )
 
 
-def _judged(
-    machine: Machine, split: Split, outcome: Outcome
-) -> tuple[Noise, list[Replays], list[Replays], GapTable]:
-    """Replay the held-out runs, and the fitted ones.
-
-    Return the noise that judges, replays of both and what those of the held-out runs say.
-    """
+def _judged(machine: Machine, split: Split, outcome: Outcome) -> _Judged:
+    """Replay the held-out runs, and the fitted ones."""
     rungs = [outcome.ladder[0], outcome.ladder[-1]]
     refit, after = (rung.hypothesis.flat(machine.believed) for rung in rungs)
     models = [machine.believed, refit, after]

@@ -163,12 +163,12 @@ def search(
     curves = set[str]()
     neighbours: dict[str, list[Candidate]] = {}
     steps = vain = 0
-    looked_for_springs = False
+    looked_for_loose = False
     again = _again(machine, runs, before, tried) if before else None
     if again is not None:
         progress("going on from what was found before")
         (data, current), neighbours = again, dict(before.neighbours)
-        looked_for_springs = True
+        looked_for_loose = True
         settled = current
         if before.mistaken:
             current, compared = swap_effects(data, current, neighbours, progress, tried)
@@ -188,9 +188,9 @@ def search(
         ahead = Ahead(data, current, candidates, step, tried, progress)
         # By the filter of a model without them some effects promise nothing.
         far = [ahead.far(c, accepted) for c in candidates if c.effect in (DELAY, *FAR_SIZES)]
-        if accepted is None or not looked_for_springs:  # what is named instead hides them
-            far.append(ahead.springs(accepted))
-            looked_for_springs |= ahead.looked_for_springs
+        if accepted is None or not looked_for_loose:  # what is named instead hides them
+            far.append(ahead.loose(accepted))
+            looked_for_loose |= ahead.looked_for_loose
         further = max(filter(None, far), key=Further.gain, default=None)
         if further is not None:
             reason = f"explains less than {further.trial.candidate.name} far from none"

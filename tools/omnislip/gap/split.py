@@ -51,6 +51,12 @@ class Split:
         """Whether there is a run to fit, another to check it, and one to hold out."""
         return len({run.unit for run in self.fitting}) > 1 and bool(self.held_out)
 
+    @property
+    def logs_held_out(self) -> list[str]:
+        """Names of the logs of which nothing is fitted."""
+        fitted = {run.name for run in self.fitting}
+        return list(dict.fromkeys(run.name for run in self.held_out if run.name not in fitted))
+
 
 def too_cut(split: Split) -> str:
     """Return why a split that is not enough is none."""

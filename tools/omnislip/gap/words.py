@@ -46,8 +46,7 @@ OF_ONE_WHEEL = 0.8
 
 def only_held_out_words(split: Split, fitted_replays: Sequence[Replays]) -> str:
     """Say so where whole logs are held out that are far off, and what was fitted is not."""
-    fitted = {run.name for run in split.fitting}
-    held_out = list(dict.fromkeys(run.name for run in split.held_out if run.name not in fitted))
+    held_out = split.logs_held_out
     if not held_out or gap_table(fitted_replays).left.excess >= LEAST_EXCESS:
         return ""
     return (
@@ -55,6 +54,12 @@ def only_held_out_words(split: Split, fitted_replays: Sequence[Replays]) -> str:
         f"held out. If all are of one robot in one state, more logs like that are needed to tell "
         f"what it is; else look at each alone."
     )
+
+
+def turned_words(split: Split) -> str:
+    """Say which logs were held out first."""
+    names = ", ".join(split.logs_held_out)
+    return f"{names}: held out first, and far off when the others were explained; fitted therefore"
 
 
 def unproven_words(selected: Sequence[Selected], table: GapTable) -> str:
