@@ -50,6 +50,32 @@ def found_in(folder, push=None, stamps_s=0.0, **changed):
     return find_impacts(machine, runs, model.flat(machine.believed), noise)
 
 
+def test_no_push_is_told_before_it_is_known_where_in_its_play_each_gear_is():
+    """Of 30 mrad: the last shaft has turned by all of it in row 150, one that turns back in 90."""
+    machine = Machine(read_model(NOMINAL_ROBOT))
+    [run, *_] = runs_of(machine, TruthCase(seed=3, runs=1, run_duration_s=3.0))
+    values, noise = machine.believed, first_guess(machine, [run])
+    [track] = track_all(machine, [run], values, noise, keep_linear=True)
+    play = values.copy()
+    play[machine.place("gear_backlash", "angle_rad", None)[0]] = 0.03
+    across_rad = 0.03 * machine.model.values["motor.gear_ratio"]
+    rows = np.arange(len(run.t_s))
+    filtered = np.zeros((len(rows), track.filter_states))
+    filtered[:, 4:7] = 1.0 + across_rad * np.minimum(rows / [[20.5], [149.5], [89.5]], 1.01).T
+    filtered[95:, 6] = 1.0
+    assert events._teeth_known_s(machine, run, filtered, values) == -np.inf
+    assert events._teeth_known_s(machine, run, filtered, play) > run.t_s[-1]
+    filtered[:, 7] = -filtered[:, 4]
+    filtered[0, 7] = -1.0
+    known_s = events._teeth_known_s(machine, run, filtered, play)
+    assert known_s == pytest.approx(run.t_s[150] + events.HORIZON_S)
+    ratio, _, _ = events.Jumps(machine, run, track, known_s=known_s).ratios()
+    begun = run.t_s >= known_s
+    assert not ratio[~begun].any() and ratio[begun].all()
+    ratio, _, _ = events.Jumps(machine, run, track, known_s=np.inf).ratios()
+    assert not ratio[:-1].any()
+
+
 @pytest.mark.parametrize("push", PUSHES)
 def test_a_push_is_found_at_its_time(tmp_path, push):
     """The lighter push is 0.09 m/s while the wheels drive; what it leaves shows when to 15 ms."""

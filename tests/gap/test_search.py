@@ -226,6 +226,21 @@ def test_a_search_goes_on_from_one_before_only_if_all_of_that_holds(
         assert max(trial.step for trial in outcome.trials if trial.accepted) == 1
 
 
+@pytest.mark.parametrize(
+    ("changed", "looks"), [({}, False), ({"mistaken": True}, True), ({"elsewhere": True}, True)]
+)
+def test_a_search_that_goes_on_looks_ahead_only_where_the_runs_are_others(
+    machine, outcomes, monkeypatch, changed, looks
+):
+    """The one before ended so, with nothing, and few rows were cut out since."""
+    looked = []
+    monkeypatch.setattr(Ahead, "best", lambda *given: looked.append(given))
+    found = replace(outcomes["coulomb_friction"].found, **changed)
+    runs = make_runs(machine, Bench(coulomb_n=2.0), [*range(20, 28)])
+    assert names(search(machine, runs, None, silent, before=found)) == ["coulomb_friction"]
+    assert bool(looked) == looks
+
+
 def test_a_name_that_mistaken_runs_had_gives_way_to_a_better_one(machine, outcomes):
     """Found where commands were taken to move otherwise: a rival that was near then is compared."""
     friction = outcomes["coulomb_friction"]

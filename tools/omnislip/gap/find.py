@@ -210,7 +210,8 @@ def _search_by_turns(recorded: _Recorded, progress: Progress) -> tuple[_Recorded
     told.append(turned_words(searched.split))
     turned = replace(recorded, logs=[recorded.logs[-1], *recorded.logs[:-1]], told=told)
     try:
-        again = _search(turned, progress, searched.outcome.found)
+        found = replace(searched.outcome.found, elsewhere=True)
+        again = _search(turned, progress, found)
     except _InsufficientError:
         return recorded, searched
     fitted, held_out = _excess(again)

@@ -83,6 +83,8 @@ class Found:
     trials: tuple[Trial, ...]
     mistaken: bool = False
     """Whether the runs were taken for those of another machine: then a name may be another's."""
+    elsewhere: bool = False
+    """Whether other logs were fitted."""
 
 
 @dataclass(frozen=True)
@@ -160,6 +162,7 @@ def search(
     base_values = base.hypothesis
     current, trials = base, []
     settled, compared = base, dict[int, Compared]()
+    looked_ahead = False
     curves = set[str]()
     neighbours: dict[str, list[Candidate]] = {}
     steps = vain = 0
@@ -169,6 +172,7 @@ def search(
         progress("going on from what was found before")
         (data, current), neighbours = again, dict(before.neighbours)
         looked_for_loose = True
+        looked_ahead = not (before.mistaken or before.elsewhere)
         settled = current
         if before.mistaken:
             current, compared = swap_effects(data, current, neighbours, progress, tried)
@@ -195,13 +199,14 @@ def search(
         if further is not None:
             reason = f"explains less than {further.trial.candidate.name} far from none"
             found = [(_gives_way(trial, reason), one) for trial, one in found]
-        elif accepted is None:
+        elif accepted is None and not looked_ahead:
             further = ahead.best(found, worth) or ahead.by_another_law([one for one, _ in found])
         trials += [*(trial for trial, _ in found), *ahead.trials]
         if further is not None:
             data, current, accepted = further.data, further.without, further.fitted
         if accepted is None:
             break
+        looked_ahead = False
         gain = current.objective - accepted.objective
         keys = accepted.hypothesis.x[: len(current.hypothesis.x)]
         without = fit(data, replace(current.hypothesis, x=keys), last=current.jacobian)
