@@ -312,6 +312,8 @@ def other_camera(t_s, x_m, y_m, heading_rad):
         (lambda t, x, y, a: (0.0, 0.0, 0.02 * x), "camera/heading", "place x"),
         (late_row, "camera", "velocity at place x"),
         (other_camera, "camera/y", "side of x = "),
+        (lambda t, x, y, a: (0.0, 0.03 * t, 0.0), "camera", "time, along y"),
+        (lambda t, x, y, a: (0.0, 0.0, 0.03 * t), "camera/heading", "time"),
     ],
 )
 def test_a_camera_that_errs_is_named_with_what_its_error_depends_on(

@@ -300,13 +300,14 @@ def _roller_terms(machine: Machine, wheel: int) -> list[Term]:
 
 
 def _heading_terms() -> list[Term]:
-    """What a camera says of the heading besides: by that itself, or by the place."""
+    """What a camera says of the heading besides: by that itself, by the place, or by time."""
     terms = [
         Term(
             "camera/heading", f"place {axis}", (), partial(_column, state=state), (CAMERA_HEADING,)
         )
         for axis, state in (("x", 11), ("y", 12))
     ]
+    terms.append(Term("camera/heading", "time", (), lambda x, d, t, i: t, (CAMERA_HEADING,)))
     for order in HEADING_ORDERS:
         name = "the heading" if order == 1 else f"{order} times the heading"
         terms += _two_phases(
@@ -595,6 +596,8 @@ CAMERA_SHAPES: dict[str, Callable[..., Array]] = {
     "place x": lambda x, d, t, i: x[:, 6 + i] * x[:, 11],
     "place y": lambda x, d, t, i: x[:, 6 + i] * x[:, 12],
     "axis": lambda x, d, t, i: x[:, 6 + i] * (1.0 if i == 5 else -1.0),
+    "time, along x": lambda x, d, t, i: t * (i == 5),
+    "time, along y": lambda x, d, t, i: t * (i == 6),
     "velocity at place x, as of a row that is read later": lambda x, d, t, i: (
         _shown_velocity(x, i) * x[:, 11]
     ),
@@ -609,7 +612,8 @@ CAMERA_SHAPES: dict[str, Callable[..., Array]] = {
     ),
 }
 """What a camera shows besides. In proportion to the place: a lens that bends, a camera that looks
-askew, axes of two scales. With the heading: a marker that is not at the robot's centre."""
+askew, axes of two scales. With the heading: a marker that is not at the robot's centre. With time:
+a camera or a floor that moves."""
 
 YAW_SHAPES: dict[str, Callable[..., Array]] = {
     "constant": lambda x, d, t, i: np.ones(len(x)),
