@@ -537,6 +537,53 @@ def test_what_only_the_held_out_log_shows_is_named_with_another_one_held_out(tmp
     assert line.startswith("run_02: ")
 
 
+LEFT = {"fits": (0.1, 0.2), "held out": (0.1, 60.0), "both": (0.7, 60.0), "near": (0.1, 20.0)}
+
+
+@pytest.mark.parametrize(
+    ("first", "whole", "then", "taken"),
+    [
+        ("fits", True, None, 0),
+        ("both", True, None, 0),
+        ("near", True, None, 0),
+        ("held out", False, None, 0),
+        ("held out", True, "fits", 1),
+        ("held out", True, "held out", 0),
+        ("held out", True, "both", 0),
+        ("held out", True, RunawayError("lost"), 0),
+        ("held out", True, find._InsufficientError("too little"), 0),
+    ],
+)
+def test_other_logs_are_held_out_where_only_those_are_off_and_that_explains_all(
+    monkeypatch, first, whole, then, taken
+):
+    """What the second search tells of the recording is not the first one's."""
+    searches, asked = [first, then], []
+
+    def search(recorded, progress, found=None):
+        answer = searches[len(asked)]
+        asked.append((recorded.logs, found))
+        recorded.told.append(f"search {len(asked)}")
+        if isinstance(answer, Exception):
+            raise answer
+        split = SimpleNamespace(logs_held_out=["c"] if whole else [])
+        outcome = SimpleNamespace(found=Found(None, None, {}, ()))
+        return SimpleNamespace(split=split, outcome=outcome, left=LEFT[answer])
+
+    monkeypatch.setattr(find, "_search", search)
+    monkeypatch.setattr(find, "_excess", lambda searched: searched.left)
+    recorded = find._Recorded(None, None, ["a", "b", "c"], {}, ["gates"])
+    chosen, searched = find._search_by_turns(recorded, silent)
+    assert searched.left == LEFT[then if taken else first]
+    assert len(asked) == (1 if then is None else 2)
+    if then is not None:
+        logs, found_before = asked[1]
+        assert logs == ["c", "a", "b"] and found_before.elsewhere
+    [*told, last] = chosen.told
+    assert last == f"search {1 + taken}"
+    assert told[0] == "gates" and len(told) == 1 + taken
+
+
 def test_a_gap_cuts_its_own_log_only(tmp_path):
     """Two folders hold a run_00 each; from that of the first half a second is missing."""
     log = make_log(AXIS_BENCH, 0)

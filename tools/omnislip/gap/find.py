@@ -209,10 +209,10 @@ def _search_by_turns(recorded: _Recorded, progress: Progress) -> tuple[_Recorded
     progress("again with other logs held out: what is off is in these only")
     told.append(turned_words(searched.split))
     turned = replace(recorded, logs=[recorded.logs[-1], *recorded.logs[:-1]], told=told)
+    found = replace(searched.outcome.found, elsewhere=True)
     try:
-        found = replace(searched.outcome.found, elsewhere=True)
         again = _search(turned, progress, found)
-    except _InsufficientError:
+    except (_InsufficientError, RunawayError):
         return recorded, searched
     fitted, held_out = _excess(again)
     explained = fitted < LEAST_EXCESS and held_out < FAR_EXCESS
