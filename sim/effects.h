@@ -36,6 +36,7 @@ constexpr double kLoadShare = 0.2; /* wheel, shaft and last gear, of the drive's
 /* Closed teeth: how both sides of the gear would swing against each other on them. What is softer
  * than 900 rad/s is a shaft_compliance. */
 constexpr double kToothFrequency_rad_s = 1500.0, kToothDampingRatio = 0.3;
+constexpr double kCoolingTime_s = 60.0; /* of a winding into its housing */
 constexpr int kMaxEffectParameters = 7;
 
 struct ParameterInfo {
@@ -105,7 +106,7 @@ struct Constants {
     S friction_speed;               /* rad/s at the shaft; a Coulomb torque is smoothed over it */
     S ripple_nm[N], ripple_per_rad[N]; /* torque on a shaft that repeats with its angle */
     /* memory: see memory.h */
-    S delay_s[N], driver_lag_s[N], inductance_h[N], heating_1_a2_s[N];
+    S delay_s[N], driver_lag_s[N], inductance_h[N], heating_1_a2_s[N], cooling_time_s[N];
     S bristle_length_m[N], bristle_rolling[N];
     S play_rad[N], tooth_frequency_rad_s[N], tooth_damping_ratio[N];
     S stiffness_nm_rad[N], damping_nm_s_rad[N], load_share[N];
@@ -333,18 +334,21 @@ struct ArmatureInductance : Effect {
 struct WindingHeating : Effect {
     static constexpr EffectInfo info = {"winding_heating",
                                         "The current warms the winding and raises its resistance.",
-                                        "Ra (1 + c Q), Q' = i^2 - Q / 60 s, cold at first",
+                                        "Ra (1 + c Q), Q' = i^2 - Q / cooling_time, cold at first",
                                         "motor",
                                         "copper, 0.4 % per kelvin",
                                         Scope::kCommon,
                                         kRobot,
                                         kPrepare,
-                                        1,
-                                        {{"coefficient", "1/(A^2 s)", 0.0, 0.0, 0.1, 0.002}}};
+                                        2,
+                                        {{"coefficient", "1/(A^2 s)", 0.0, 0.0, 1.0, 0.002},
+                                         {"cooling_time_s", "s", kCoolingTime_s, 2.0, 1e3, 0.0}}};
     template <class S, int N>
     static void prepare(Constants<S, N> &c, const Values<S> &p) {
-        for (int i = 0; i < N; ++i)
+        for (int i = 0; i < N; ++i) {
             c.heating_1_a2_s[i] = p(0, i);
+            c.cooling_time_s[i] = p(1, i);
+        }
     }
 };
 

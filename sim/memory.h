@@ -31,7 +31,6 @@
 namespace omnislip {
 inline namespace OMNISLIP_INSTRUCTION_SET {
 
-constexpr double kCoolingTime_s = 60.0; /* of a winding into its housing */
 /* Steps after a jump of the command, beside steps of 1 ms: with them the worst error of a hard
  * drive falls from 0.2 mm to 0.3 um (tests/sim/test_accuracy.py). The error of a rule of order 4
  * grows with the fourth power of the step, but with the second where the rim crosses the kink of
@@ -75,6 +74,7 @@ void forget(Constants<S, N> &c) {
     for (int i = 0; i < N; ++i) {
         c.delay_s[i] = c.driver_lag_s[i] = c.inductance_h[i] = S(0.0);
         c.heating_1_a2_s[i] = c.bristle_length_m[i] = c.bristle_rolling[i] = S(0.0);
+        c.cooling_time_s[i] = S(kCoolingTime_s);
         c.play_rad[i] = c.ripple_nm[i] = c.ripple_per_rad[i] = S(0.0);
         c.tooth_frequency_rad_s[i] = S(kToothFrequency_rad_s);
         c.tooth_damping_ratio[i] = S(kToothDampingRatio);

@@ -162,12 +162,12 @@ class RobotPlant : public RobotLayout {
     /* Warms the windings of x by n rows before; resistance times 1 + h lets 1 / (1 + h) through. */
     void warm(const double *length_s, const double *cold_current_a2, std::size_t n, S *x) const {
         for (std::size_t k = 0; heats_ && k < n; ++k) {
-            const double kept = std::exp(-length_s[k] / kCoolingTime_s);
             for (int i = 0; i < 4; ++i) {
+                const S &cools_s = c_.cooling_time_s[i], kept = exp(S(-length_s[k]) / cools_s);
                 S &heat = x[kHeat + i];
                 const S through = S(1.0) / (S(1.0) + c_.heating_1_a2_s[i] * heat);
                 const S heating = S(cold_current_a2[4 * k + i]) * through * through;
-                heat = S(kept) * heat + S((1.0 - kept) * kCoolingTime_s) * heating;
+                heat = kept * heat + (S(1.0) - kept) * cools_s * heating;
             }
         }
     }
@@ -432,7 +432,7 @@ class RobotPlant : public RobotLayout {
         }
         for (int i = 0; heats_ && i < 4; ++i) {
             const S heating =
-                in.current_a[i] * in.current_a[i] - x[kHeat + i] * S(1.0 / kCoolingTime_s);
+                in.current_a[i] * in.current_a[i] - x[kHeat + i] / c_.cooling_time_s[i];
             dx[kHeat + i] = step.length_s == kForever_s ? S(0.0) : heating;
         }
         for (int i = 0; bristles_ && i < 4; ++i)

@@ -1,14 +1,21 @@
 """Where no derivative leads: edges, thresholds, numbers of teeth."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from omnislip.gap.inference import fit, linearise, weigh
 from omnislip.gap.judge import SURE_GAIN
+from omnislip.gap.machine import Machine
+from omnislip.gap.recordings import make_run
 from omnislip.gap.refit import extend_effects, refit_each, settle_placed, whole_numbers
 from omnislip.gap.screen import screen
 from omnislip.gap.settle import believed_hypothesis, settle
 from omnislip.gap.truth import TruthCase
 from omnislip.gap.truth_effects import HiddenEffect
+from omnislip.model_file import NOMINAL_ROBOT, Effect, read_model
+from omnislip.scenario import Scenario, Sensors
+from omnislip.simulate import make_log, simulate_truth
 from truth_bench import robot_runs, robot_with_magnets
 
 
@@ -108,6 +115,34 @@ def test_the_derivative_by_a_number_of_cycles_is_that_at_the_place(tmp_path):
     right = (ends[0] - ends[1]) / (2e-2 / size)
     assert np.linalg.norm(found[:, number] - right) < 0.01 * size
     assert np.linalg.norm(around[:, number] - right) > 0.3 * size
+
+
+@pytest.mark.parametrize("cooling_s", [4.0, 60.0])
+def test_windings_that_cool_faster_have_a_time_of_their_own(cooling_s):
+    """Three drives to and fro, of 8 s each, in which the resistance grows by a half and more."""
+    heating = {"coefficient": 0.02, "cooling_time_s": cooling_s}
+    warm = replace(read_model(NOMINAL_ROBOT), effects=[Effect("winding_heating", heating)])
+    machine, runs = Machine(read_model(NOMINAL_ROBOT)), []
+    for seed in range(3):
+        speeds = np.random.default_rng(seed).uniform(-1.5, 1.5, (20, 2))
+        driving = [
+            {"t_s": 0.4 * k, "kind": "velocity", "value": [*speed.tolist(), 0.0]}
+            for k, speed in enumerate(speeds)
+        ]
+        sensors = Sensors(pose_noise_m=0.001)
+        scenario = Scenario(f"run_{seed}", 8.0, warm, driving, sensors=sensors, seed=seed)
+        runs.append(make_run(machine, make_log(scenario, simulate_truth(scenario))))
+    [found] = [c for c in machine.candidates() if c.name == "winding_heating"]
+    start = believed_hypothesis(machine).with_effect(found, [0.01])
+    data, fitted = settle(machine, runs, start)
+    refined = extend_effects(machine, data, fitted).hypothesis
+    names = [p.label for p in refined.effects[0].parameters]
+    if cooling_s == 60.0:
+        assert names == ["coefficient"]
+        assert refined.values_of(0) == pytest.approx([0.02], rel=0.03)
+    else:
+        assert names == ["coefficient", "cooling_time_s"]
+        assert refined.values_of(0) == pytest.approx([0.02, cooling_s], rel=0.1)
 
 
 @pytest.mark.parametrize("curve", ["rational", "straight"])

@@ -148,12 +148,17 @@ static void warm_winding_draws_less_current(void) {
 }
 
 static void winding_warms_towards_the_balance_with_its_cooling(void) {
-    Robot robot(unmoved().effect("winding_heating", "coefficient", 1e-12));
-    robot.drive(kDuty, 20.0, 0.01);
-    for (std::size_t i = 0; i < 4; ++i) {
-        const double current_a = 24.0 * kDuty[i] / 0.6;
-        const double heat = current_a * current_a * 60.0 * (1.0 - std::exp(-20.0 / 60.0));
-        TEST_ASSERT_DOUBLE_WITHIN(1e-7 * heat, heat, robot.all[Layout::kHeat + i]);
+    for (const double cooling_s : {60.0, 25.0}) {
+        Robot robot(unmoved()
+                        .effect("winding_heating", "coefficient", 1e-12)
+                        .effect("winding_heating", "cooling_time_s", cooling_s));
+        robot.drive(kDuty, 20.0, 0.01);
+        for (std::size_t i = 0; i < 4; ++i) {
+            const double current_a = 24.0 * kDuty[i] / 0.6;
+            const double heat =
+                current_a * current_a * cooling_s * (1.0 - std::exp(-20.0 / cooling_s));
+            TEST_ASSERT_DOUBLE_WITHIN(1e-7 * heat, heat, robot.all[Layout::kHeat + i]);
+        }
     }
 }
 

@@ -621,6 +621,7 @@ EXTENSIONS = {
     ("gear_backlash", "load_share"),
     ("gear_backlash", "tooth_frequency_rad_s"),
     ("gear_backlash", "tooth_damping_ratio"),
+    ("winding_heating", "cooling_time_s"),
 }
 
 WHOLE = {("cogging", "cycles_per_rev"), ("roller_ripple", "rollers")}
