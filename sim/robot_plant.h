@@ -161,6 +161,7 @@ class RobotPlant : public RobotLayout {
 
     /* Warms the windings of x by n rows before; resistance times 1 + h lets 1 / (1 + h) through. */
     void warm(const double *length_s, const double *cold_current_a2, std::size_t n, S *x) const {
+        using std::exp;
         for (std::size_t k = 0; heats_ && k < n; ++k) {
             for (int i = 0; i < 4; ++i) {
                 const S &cools_s = c_.cooling_time_s[i], kept = exp(S(-length_s[k]) / cools_s);

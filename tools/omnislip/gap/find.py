@@ -204,6 +204,7 @@ def _search_by_turns(recorded: _Recorded, progress: Progress) -> tuple[_Recorded
     """
     told = list(recorded.told)
     searched = _search(recorded, progress)
+    progress("replaying the held-out runs")
     if not _off_only_held_out(searched):
         return recorded, searched
     progress("again with other logs held out: what is off is in these only")
@@ -312,10 +313,9 @@ def _findings(
     unchecked: str | None,
     progress: Progress,
 ) -> Findings:
-    """Replay the held-out runs, ask whether what is left is chance, and judge it all."""
+    """Compare the replays, ask whether what is left is chance, and judge it all."""
     machine, split, outcome = searched.machine, searched.split, searched.outcome
     impacts, (wiring, *other_wirings) = searched.impacts, recorded.wirings
-    progress("replaying the held-out runs")
     believed, fitted = machine.believed, split.fitting
     judging, replays, fitted_replays, table = searched.judged
     unproven = ""
