@@ -187,9 +187,17 @@ def test_neither_is_looked_for_beside_what_leaves_no_shaft_shaken(
     robot, runs, candidates = robot_runs(case, tmp_path)
     data, current = settle(robot, runs, believed_hypothesis(robot))
     [accepted] = refit_each(data, current, screen(data, current, [candidates[named]]))
-    told = []
-    Ahead(data, current, [candidates["shaft_compliance"]], 1, 100, told.append).loose(accepted)
-    assert (LOOKED_FOR in told) == looked_for
+
+    def begins(message):
+        assert message == LOOKED_FOR
+        raise InterruptedError
+
+    ahead = Ahead(data, current, [candidates["shaft_compliance"]], 1, 100, begins)
+    if looked_for:
+        with pytest.raises(InterruptedError):
+            ahead.loose(accepted)
+    else:
+        assert ahead.loose(accepted) is None
 
 
 @pytest.mark.parametrize(
