@@ -63,6 +63,9 @@ enum Hook : unsigned {
     kBody = 1u << 6,
     kSensor = 1u << 7,
     kMotion = 1u << 8,
+    /* No hooks: what shaft angles move, and what lets encoders show other angles. */
+    kByAngle = 1u << 9,
+    kCounts = 1u << 10,
 };
 
 struct EffectInfo {
@@ -638,7 +641,7 @@ struct Cogging : Effect {
                                         "slots and magnets",
                                         Scope::kCommon,
                                         kRobot | kAxis,
-                                        kPrepare | kShaft,
+                                        kPrepare | kShaft | kByAngle,
                                         3,
                                         {{"torque_nm", "N m", 0.0, 0.0, kUnbounded, 0.004},
                                          {"cycles_per_rev", "1", 7.0, 1.0, 200.0, 0.0},
@@ -779,7 +782,7 @@ struct WheelEccentricity : Effect {
         "hub off centre",
         Scope::kSingle,
         kRobot,
-        kContact,
+        kContact | kByAngle,
         2,
         {{"amplitude", "1", 0.0, 0.0, 0.3, 0.02}, {"phase_rad", "rad", 0.0, -kPi, kPi, 0.0}}};
     template <class S, int N>
@@ -1081,7 +1084,7 @@ struct RollerRipple : Effect {
         "roller gaps; Williams et al. 2002",
         Scope::kWhole,
         kRobot,
-        kContact,
+        kContact | kByAngle,
         2,
         {{"amplitude", "1", 0.0, -0.9, 0.9, 0.1}, {"rollers", "1", 12.0, 1.0, 60.0, 0.0}}};
     template <class S, int N>
@@ -1444,7 +1447,7 @@ struct EncoderScale : Effect {
                                         "wrong disc or setting",
                                         Scope::kCommonOrSingle,
                                         kRobot | kOdometry,
-                                        kSensor,
+                                        kSensor | kCounts,
                                         1,
                                         {{"scale", "1", 1.0, 0.3, 3.0, 0.02}}};
     template <class S, int N>
@@ -1462,7 +1465,7 @@ struct EncoderDropout : Effect {
                                         "bandwidth of encoder or counter",
                                         Scope::kSingle,
                                         kRobot,
-                                        kSensor,
+                                        kSensor | kCounts,
                                         2,
                                         {{"fraction", "1", 0.0, 0.0, 1.0, 0.05},
                                          {"speed_rad_s", "rad/s", 150.0, 0.0, 2000.0, 0.0}}};

@@ -1,9 +1,10 @@
 /* robot_plant.h - the four-wheeled robot with slip: seven degrees of freedom, eqs. (6)-(13).
  *
  * State x (14): W_i shaft speed [rad/s], a_i encoder angle [rad], i = 1..4; body velocity of the
- * wheel centre (vx, vy, w) in the body frame; world pose (x, y, theta). Behind it the memory (24)
+ * wheel centre (vx, vy, w) in the body frame; world pose (x, y, theta). Behind it the memory (28)
  * of memory.h, per wheel: duty that has left the driver, armature current, heat of the winding,
- * share of the grip that the bristles hold, slack (wheel speed - W / n) and twist of a soft gear.
+ * share of the grip that the bristles hold, slack (wheel speed - W / n) and twist of a soft gear,
+ * angle that an encoder does not show.
  *
  *   bus       V = V0 - r sum(i_j d_j)                          (r = 0: V = V0)
  *   current   i = (d V - k3 W) / Ra                                                     (8)
@@ -72,7 +73,7 @@ struct RobotLayout {
     static constexpr int kMotors = 4;
     static constexpr int kStates = 14;
     static constexpr int kStatesInLots = 8;   /* speeds and angles, see integrator.h */
-    static constexpr int kAll = kStates + 24; /* with memory */
+    static constexpr int kAll = kStates + 28; /* with memory */
     static constexpr int kOutputs = 8;        /* encoder angles 4, gyro, x, y, theta */
     static constexpr int kBase = static_cast<int>(sizeof(kRobotBase) / sizeof(kRobotBase[0]));
     static constexpr Kind kKind = kRobot;
@@ -84,7 +85,8 @@ struct RobotLayout {
         kHeat = 22,
         kGrip = 26,
         kSlack = 30,
-        kTwist = 34
+        kTwist = 34,
+        kUnshown = 38
     };
 };
 
@@ -198,8 +200,8 @@ class RobotPlant : public RobotLayout {
         }
         if (remembers_)
             memorise(x, step, in, radius_m, grip_rate, dx);
-        if (active_.use(kSensor))
-            scale_encoders(x, time_s, dx);
+        if (active_.use(kCounts))
+            count(x, step, dx);
         dx[kPose] = cos_theta * vx - sin_theta * vy;
         dx[kPose + 1] = sin_theta * vx + cos_theta * vy;
         dx[kPose + 2] = omega;
@@ -371,6 +373,8 @@ class RobotPlant : public RobotLayout {
         remember(bristles_, kGrip);
         remember(soft_, kSlack);
         remember(soft_, kTwist);
+        unshown_ = active_.use(kByAngle) && active_.use(kCounts);
+        remember(unshown_, kUnshown);
         remembers_ = memory_.begin() != memory_.end();
         for (int i = 0; i < 4; ++i) {
             per_driver_lag_s_[i] = Relaxation<S>::per(c_.driver_lag_s[i]);
@@ -525,7 +529,9 @@ class RobotPlant : public RobotLayout {
             put(-lot(c_.viscous_friction_nm_s + i) * lot(speed + i), in.friction_torque_nm + i);
         }
         if (active_.use(kShaft)) {
-            const ShaftTerm<S, 4> term = friction(speed, x + kAngle, in.motor_torque_nm, time_s);
+            S room[4];
+            const S *angle = shaft_angles(x, room);
+            const ShaftTerm<S, 4> term = friction(speed, angle, in.motor_torque_nm, time_s);
             for (int i = 0; i < 4; ++i) {
                 in.friction_torque_nm[i] = in.friction_torque_nm[i] + term.torque_nm[i];
             }
@@ -683,7 +689,8 @@ class RobotPlant : public RobotLayout {
     void contact_effects(const S *x, const S &time_s, RobotInternals<S> &in, S *mu, S *radius_m,
                          S *shape, S *roller_shape) const {
         ContactTerm<S, 4> term;
-        term.shaft_angle_rad = x + kAngle;
+        S room[4];
+        term.shaft_angle_rad = shaft_angles(x, room);
         term.x_m = x[kPose];
         term.y_m = x[kPose + 1];
         term.time_s = time_s;
@@ -710,6 +717,7 @@ class RobotPlant : public RobotLayout {
             }
         });
         UserInputs<S> inputs = motion(x, time_s);
+        inputs.at[kInThM] = term.shaft_angle_rad;
         inputs.at[kInS] = term.slip_m_s;
         inputs.at[kInVT] = in.hub_speed_m_s;
         inputs.at[kInVF] = in.roller_speed_m_s;
@@ -738,7 +746,6 @@ class RobotPlant : public RobotLayout {
         UserInputs<S> inputs;
         inputs.at[kInT] = &time_s;
         inputs.at[kInW] = x + kSpeed;
-        inputs.at[kInThM] = x + kAngle;
         inputs.at[kInVx] = x + kVelocity;
         inputs.at[kInVy] = x + kVelocity + 1;
         inputs.at[kInOmega] = x + kVelocity + 2;
@@ -930,10 +937,41 @@ class RobotPlant : public RobotLayout {
         term.theta_rad = term.theta_rad - way[2];
     }
 
-    void scale_encoders(const S *x, const S &time_s, S *dx) const {
-        const SensorTerm<S, 4> term = sensors(x, time_s);
+    /* Angles of the shafts; `room` [4] for those that are not the encoders'. */
+    const S *shaft_angles(const S *x, S *room) const {
+        if (!unshown_)
+            return x + kAngle;
         for (int i = 0; i < 4; ++i)
-            dx[kAngle + i] = dx[kAngle + i] * term.encoder_rate[i];
+            room[i] = x[kAngle + i] + x[kUnshown + i];
+        return room;
+    }
+
+    /* What encoders show of the speeds, and what not. An encoder's zero is its shaft's: what a log
+     * begins with was counted as at rest. */
+    void count(const S *x, const Step &step, S *dx) const {
+        const S at_rest[4] = {S(0.0), S(0.0), S(0.0), S(0.0)};
+        const bool begins = unshown_ && step.length_s == kForever_s;
+        const SensorTerm<S, 4> term = counting(begins ? at_rest : x + kSpeed);
+        for (int i = 0; i < 4; ++i) {
+            const S &rate = term.encoder_rate[i], shown = dx[kAngle + i] * rate;
+            if (begins)
+                dx[kUnshown + i] = (x[kAngle + i] / rate - x[kAngle + i]) * S(step.inverse_s);
+            else if (unshown_)
+                dx[kUnshown + i] = dx[kAngle + i] - shown;
+            dx[kAngle + i] = shown;
+        }
+    }
+
+    /* Shares of their speeds [rad/s] that the encoders show. */
+    SensorTerm<S, 4> counting(const S *speed) const {
+        SensorTerm<S, 4> term;
+        term.speed_rad_s = speed;
+        for (int i = 0; i < 4; ++i)
+            term.encoder_rate[i] = S(1.0);
+        active_.apply(kCounts, [&](auto effect, const Values<S> &values) {
+            decltype(effect)::sensor(term, values);
+        });
+        return term;
     }
 
     Constants<S, 4> c_;
@@ -948,6 +986,7 @@ class RobotPlant : public RobotLayout {
     MemoryPlaces<kAll - kStates> memory_;
     bool delays_ = false, remembers_ = false, lags_ = false, inductive_ = false;
     bool heats_ = false, bristles_ = false, soft_ = false, springs_ = false, shows_late_ = false;
+    bool unshown_ = false;
 };
 
 }  // namespace OMNISLIP_INSTRUCTION_SET

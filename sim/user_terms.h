@@ -156,6 +156,8 @@ class UserTerms {
             }
             if (active_[k])
                 hooks |= kUserHooks[static_cast<int>(term.target)];
+            if (active_[k] && reads(term, kInThM))
+                hooks |= kByAngle;
             values += term.slots();
         }
         return hooks;
@@ -174,6 +176,13 @@ class UserTerms {
     }
 
   private:
+    static bool reads(const UserTerm &term, UserInput input) {
+        bool found = false;
+        for (const UserInstruction &step : term.program)
+            found = found || (step.operation == UserOperation::kInput && step.argument == input);
+        return found;
+    }
+
     static S evaluate(const UserTerm &term, const Values<S> &parameters,
                       const UserInputs<S> &inputs, int wheel) {
         S stack[kUserStack];

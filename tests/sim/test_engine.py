@@ -177,6 +177,37 @@ def test_equal_scale_of_all_forces_changes_nothing(duty, scale):
     np.testing.assert_allclose(scaled, plain, rtol=1e-9, atol=1e-9)
 
 
+TURNING = {
+    "cogging": [("cogging", "torque_nm", 0.03), ("cogging", "phase_rad", 0.4)],
+    "wheel_eccentricity": [("wheel_eccentricity", "amplitude", 0.05)],
+    "roller_ripple": [("roller_ripple", "amplitude", 0.3)],
+    "no effect by angle": [],
+}
+
+
+@pytest.mark.parametrize("by_angle", TURNING)
+@settings(max_examples=10)
+@given(duty=DUTY, begins=st.lists(ANGLE, min_size=4, max_size=4).map(np.array))
+def test_what_encoders_show_moves_no_robot(by_angle, duty, begins):
+    """Shafts cog and wheels run out of round by their own angles, whatever is counted of them."""
+    time, duty = held(duty)
+    shown = np.array([1.07, 0.8, 1.0, 1.0])
+    counting = [
+        ("encoder_scale", "scale", shown[0], 1),
+        ("encoder_scale", "scale", shown[1], 2),
+        ("encoder_dropout", "fraction", 0.2, 3),
+        ("encoder_dropout", "speed_rad_s", 40.0, 3),
+    ]
+    starts = np.zeros((2, 14))
+    starts[:, 4:8] = begins, shown * begins
+    effects = TURNING[by_angle]
+    [right] = simulate([parameter_set(effects=effects)], time, duty, starts[0])
+    [wrong] = simulate([parameter_set(effects=effects + counting)], time, duty, starts[1])
+    np.testing.assert_allclose(wrong[:, 4:], right[:, 4:], rtol=0, atol=1e-9)
+    kept = [0, 1, 3]
+    np.testing.assert_allclose(wrong[:, kept], (shown * right[:, :4])[:, kept], rtol=0, atol=1e-8)
+
+
 # ---- commands that rise within a row ----
 
 
