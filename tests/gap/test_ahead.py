@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from axis_bench import Bench, make_machine, make_runs, silent
+from omnislip.gap import ahead as ahead_module
 from omnislip.gap.ahead import Ahead, Further
 from omnislip.gap.inference import Evidence, fit
 from omnislip.gap.judge import SURE_GAIN, WITHIN_LAW, Trial
@@ -198,6 +199,29 @@ def test_neither_is_looked_for_beside_what_leaves_no_shaft_shaken(
             ahead.loose(accepted)
     else:
         assert ahead.loose(accepted) is None
+
+
+@pytest.mark.parametrize(("likelier", "finer"), [(-600.0, False), (-400.0, True)])
+def test_finer_plays_and_springs_are_asked_where_coarse_ones_are_not_far_off(
+    tmp_path, monkeypatch, likelier, finer
+):
+    """Beside magnets, which shake the shafts, too."""
+    effects = (HiddenEffect("cogging", COGGING).as_dict(),)
+    robot, runs, _ = robot_runs(TruthCase(seed=21007, effects=effects, runs=2), tmp_path)
+    data, current = settle(robot, runs, believed_hypothesis(robot))
+    asked = []
+
+    def by_own_noise(data, model, runs):
+        asked.append([effect.effect for effect in model.effects])
+        return likelier if model.effects else 0.0
+
+    monkeypatch.setattr(ahead_module, "_by_own_noise", by_own_noise)
+    assert Ahead(data, current, robot.candidates(), 1, 100, silent).loose(None) is None
+    plays, springs = asked.count(["gear_backlash"]), asked.count(["shaft_compliance"])
+    assert asked.count([]) == 1 and len(asked) == 1 + plays + springs
+    coarse = -(-ahead_module.FAR_SIZES["gear_backlash"][2] // ahead_module.PLAYS_APART)
+    assert (plays > coarse) == (springs > len(ahead_module.STIFFNESSES)) == finer
+    assert finer or (plays, springs) == (coarse, len(ahead_module.STIFFNESSES))
 
 
 @pytest.mark.parametrize(

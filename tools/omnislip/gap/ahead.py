@@ -65,6 +65,10 @@ did (five sets of logs); derivatives do from 15 % off."""
 STIFFNESSES_BESIDE = 1.3 ** np.array([-2.0, -1.0, 1.0, 2.0])
 LOAD_SHARES, STIFFNESSES_NEAR = (0.12, 0.3, 0.42), (0.88, 1.14)
 """Shares of the inertia behind a spring, beside the usual, and factors of the stiffness then."""
+HOPEFUL = 500.0
+"""By how much the likeliest of the coarse sizes may be less likely than none for finer ones to be
+asked: of springs and play that are there it is likelier, or less so by 20 (eight sets of logs), of
+others by 200 to 4,800 (five sets)."""
 SPRING_DAMPING_RATIO = 0.15
 FAR_STEPS = (0.5, 0.25)
 """Steps from the best of them, in rows or steps from size to size."""
@@ -240,11 +244,13 @@ class Ahead:
             found = side_by_side(lambda model: _by_own_noise(data, model, [run]), models)
             return max(map(_Likely, found, models), key=lambda one: one.likelihood)
 
+        none = likeliest([self._current.hypothesis])
+        least = none.likelihood - HOPEFUL
         looks = {SPRING: self._likeliest_spring, PLAY: self._likeliest_play}
-        found = [looks[effect](candidate, likeliest) for effect, candidate in offered.items()]
+        found = [looks[effect](one, likeliest, least) for effect, one in offered.items()]
         best = max(found, key=lambda one: one.likelihood)
-        others = [self._current.hypothesis, *([accepted.hypothesis] if accepted else [])]
-        if best.likelihood < likeliest(others).likelihood + SURE_GAIN / 2:
+        others = [none, *([likeliest([accepted.hypothesis])] if accepted else [])]
+        if best.likelihood < max(one.likelihood for one in others) + SURE_GAIN / 2:
             return None
         further = self._by_its_noise(best.model.effects[-1], best.model)
         if further is None:
@@ -252,20 +258,25 @@ class Ahead:
         self.trials.append(further.trial)
         return further if further.trial.accepted else None
 
-    def _likeliest_play(self, candidate: Candidate, likeliest: _Likeliest) -> _Likely:
-        """Return the likeliest model with play, from coarse sizes to finer ones."""
+    def _likeliest_play(self, candidate: Candidate, likeliest: _Likeliest, least: float) -> _Likely:
+        """Return the likeliest model with play, from coarse sizes to finer ones.
+
+        Those only where the coarse ones are as likely as `least`; so for springs.
+        """
 
         def with_play(size: float) -> Hypothesis:
             return self._current.hypothesis.with_effect(candidate, [size])
 
         best = likeliest([with_play(size) for size in _far_sizes(candidate)[::PLAYS_APART]])
-        for step in PLAY_STEPS:
+        for step in PLAY_STEPS if best.likelihood > least else ():
             [size] = best.model.values_of(-1)
             beside = likeliest([with_play(size / step), with_play(size * step)])
             best = max(best, beside, key=lambda one: one.likelihood)
         return best
 
-    def _likeliest_spring(self, candidate: Candidate, likeliest: _Likeliest) -> _Likely:
+    def _likeliest_spring(
+        self, candidate: Candidate, likeliest: _Likeliest, least: float
+    ) -> _Likely:
         """Return the likeliest model with springs, from coarse stiffnesses to finer ones."""
         machine, current = self._data.machine, self._current.hypothesis
         [share] = machine.refinements(candidate)
@@ -292,6 +303,8 @@ class Ahead:
 
         scale = candidate.parameters[0].scale
         best = likeliest([sprung(scale * size, usual) for size in STIFFNESSES])
+        if best.likelihood < least:
+            return best
         best = beside(best, STIFFNESSES_BESIDE)
         best = beside(best, [1.0], LOAD_SHARES)
         return beside(best, STIFFNESSES_NEAR)
