@@ -69,6 +69,20 @@ def test_chance_that_fades_slowly_is_chance(corner_hz, monkeypatch):
     assert max(one.share for one in found if not one.from_own_past) < 0.05
 
 
+@pytest.mark.parametrize(("more", "told"), [(1.5, False), (5.0, True)])
+def test_a_floor_that_is_a_little_uneven_is_chance_as_long_as_that_lasts(monkeypatch, more, told):
+    """Accelerations of 0.11 or 0.37 m/s2 that fade within 0.4 s."""
+    chance, body = truth.coloured_noise, np.arange(7) < 2
+
+    def floors(rng, rows):
+        lasting = chance(rng, rows, corner_hz=(0.4, 0.4))
+        return np.where(body, more * lasting, chance(rng, rows))
+
+    monkeypatch.setattr(truth, "coloured_noise", floors)
+    forces = [one for one in shares_of() if one.equation.startswith("body/force")]
+    assert any(no_chance(one) for one in forces if one.from_own_past) == told
+
+
 def test_friction_is_all_that_moves_a_body_that_does_not_turn():
     model = read_model(NOMINAL_ROBOT)
     without_rollers = replace(model, values=model.values | {"contact.mu_roller": 0.0})

@@ -89,6 +89,7 @@ OWN_PASTS_S = (
 )
 """At the first of each most chance has faded, at the last what goes on for longer still shows. Of
 the third nothing of it is left, and what beats goes on."""
+BEAT_S = OWN_PASTS_S[2][0]
 SENSOR_PAST_S, LEAST_READINGS = OWN_PASTS_S[0], 3
 """Own past of a sensor, and how many readings earlier it ends at least."""
 MOVES_ROWS = np.array([-3, -2, -1, 1, 2, 3])
@@ -101,6 +102,11 @@ FRICTION_SHARE = 1e-4
 """Square of how far friction may be off, its keys and curve fitted. Where its law was a double
 exponential, disturbances were 0.4 % of friction and told 0.37 of themselves; a stuck roller's were
 6 %, those of a driver that folds back as it warms 24 %."""
+UNEVEN_M_S2 = 0.05
+"""Acceleration by a floor that is 5 mm per metre out of level, as finished floors are: it lasts for
+as long as it takes to cross, and is chance to anybody. (0.06 m/s2 that faded within some 0.2 s told
+0.5 of themselves after 60 ms, 0.04 m/s2 0.3 in a robot that lacks nothing; what a wheel did that
+lifts off told 0.16 m/s2.) What beats or swings back is no floor."""
 STIRRED = 0.5
 """Share of what runs hold of the disturbances in the mean from which one has a vote."""
 MOVED = np.r_[SHAFT, BODY, YAW]
@@ -173,16 +179,20 @@ def predictable_shares(
     least = REST * np.sum(np.concatenate(there) ** 2, axis=0)
     least = np.maximum(least, SEEN * np.diagonal(noise.coloured) * len(y))
     least = np.maximum(least, FRICTION_SHARE * np.sum(np.concatenate(friction) ** 2, axis=0))
+    uneven = UNEVEN_M_S2**2 * len(y)
 
     def shares_of(index: int) -> list[Predictable]:
-        asked = [(x, _by_trees, 0.0)]
+        equation, target = EQUATIONS[index], y[:, index]
+        asked = [(x, _by_trees, 0.0, least[index])]
         for past, (ahead_s, *_) in zip(own_pasts, OWN_PASTS_S, strict=True):
-            asked.append((past[:, index], _by_line, ahead_s))
+            fades = ahead_s < BEAT_S and target @ past[:, index, 0] > 0.0
+            floors = uneven if fades and equation.startswith("body/force") else 0.0
+            asked.append((past[:, index], _by_line, ahead_s, max(least[index], floors)))
         if index < u.shape[1]:
-            asked.append((u[:, index], _by_bins, 0.0))
+            asked.append((u[:, index], _by_bins, 0.0, least[index]))
         return [
-            _share(EQUATIONS[index], y[:, index], owner, known, predicted, ahead_s, least[index])
-            for known, predicted, ahead_s in asked
+            _share(equation, target, owner, known, predicted, ahead_s, of_no_less)
+            for known, predicted, ahead_s, of_no_less in asked
         ]
 
     shares = side_by_side(shares_of, range(len(EQUATIONS)))
