@@ -19,7 +19,9 @@ go with any of these, but it goes on for a tenth of a second and more, where cha
 the disturbances' own past is asked too, linearly. (Chance of a bandwidth of 10 Hz tells nothing of
 itself after 60 ms, of 3 Hz a tenth, of 1.6 Hz 0.3, and after 120 ms the square of that: verdict.py
 asks for more. A load that swings tells as much of itself after 120 ms, where it swings back. What
-beats goes on where nothing else does, and a second of its past tells it out of as much chance.)
+beats goes on where nothing else does, and a second of its past tells it out of as much chance.) But
+a floor that is a little out of level pushes for as long as it takes to cross: of a force or moment
+on the body the share is taken of no less than that (`UNEVEN_M_S2`).
 
 Nor does what a driver makes of its command have to be smooth: a bridge that knows coarse steps of
 duty pushes every way in turn, over steps that no tree resolves. So each shaft's disturbances are
