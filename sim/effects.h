@@ -63,7 +63,7 @@ enum Hook : unsigned {
     kBody = 1u << 6,
     kSensor = 1u << 7,
     kMotion = 1u << 8,
-    /* No hooks: what shaft angles move, and what lets encoders show other angles. */
+    /* Marks of effects: what shaft angles move; of sensors, what encoders show of speeds. */
     kByAngle = 1u << 9,
     kCounts = 1u << 10,
 };

@@ -240,17 +240,19 @@ class Ahead:
         self.looked_for_loose = True
         self._progress(f"step {self._step}: looking for play and springs")
 
-        def likeliest(models: Sequence[Hypothesis]) -> _Likely:
-            found = side_by_side(lambda model: _by_own_noise(data, model, [run]), models)
-            return max(map(_Likely, found, models), key=lambda one: one.likelihood)
+        def likelihoods(models: Sequence[Hypothesis]) -> list[float]:
+            return side_by_side(lambda model: _by_own_noise(data, model, [run]), models)
 
-        none = likeliest([self._current.hypothesis])
-        least = none.likelihood - HOPEFUL
+        def likeliest(models: Sequence[Hypothesis]) -> _Likely:
+            found = map(_Likely, likelihoods(models), models)
+            return max(found, key=lambda one: one.likelihood)
+
+        others = likelihoods([one.hypothesis for one in (self._current, accepted) if one])
+        least = others[0] - HOPEFUL
         looks = {SPRING: self._likeliest_spring, PLAY: self._likeliest_play}
         found = [looks[effect](one, likeliest, least) for effect, one in offered.items()]
         best = max(found, key=lambda one: one.likelihood)
-        others = [none, *([likeliest([accepted.hypothesis])] if accepted else [])]
-        if best.likelihood < max(one.likelihood for one in others) + SURE_GAIN / 2:
+        if best.likelihood < max(others) + SURE_GAIN / 2:
             return None
         further = self._by_its_noise(best.model.effects[-1], best.model)
         if further is None:
@@ -268,7 +270,9 @@ class Ahead:
             return self._current.hypothesis.with_effect(candidate, [size])
 
         best = likeliest([with_play(size) for size in _far_sizes(candidate)[::PLAYS_APART]])
-        for step in PLAY_STEPS if best.likelihood > least else ():
+        if best.likelihood < least:
+            return best
+        for step in PLAY_STEPS:
             [size] = best.model.values_of(-1)
             beside = likeliest([with_play(size / step), with_play(size * step)])
             best = max(best, beside, key=lambda one: one.likelihood)

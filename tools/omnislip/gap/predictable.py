@@ -109,7 +109,6 @@ UNEVEN_M_S2 = 0.05
 as long as it takes to cross, and is chance to anybody. (0.06 m/s2 that faded within some 0.2 s told
 0.5 of themselves after 60 ms, 0.04 m/s2 0.3 in a robot that lacks nothing; what a wheel did that
 lifts off told 0.16 m/s2.) What beats or swings back is no floor."""
-BODY_KEYS = ("mass_kg", "wheel_distance_m", "inertia_kg_m2")
 STIRRED = 0.5
 """Share of what runs hold of the disturbances in the mean from which one has a vote."""
 MOVED = np.r_[SHAFT, BODY, YAW]
@@ -182,9 +181,10 @@ def predictable_shares(
     least = REST * np.sum(np.concatenate(there) ** 2, axis=0)
     least = np.maximum(least, SEEN * np.diagonal(noise.coloured) * len(y))
     least = np.maximum(least, FRICTION_SHARE * np.sum(np.concatenate(friction) ** 2, axis=0))
-    key = {name: float(machine.model.values[f"robot.{name}"]) for name in BODY_KEYS}
-    turning = key["mass_kg"] * key["wheel_distance_m"] / key["inertia_kg_m2"]
-    uneven = len(y) * UNEVEN_M_S2**2 * np.array([0.0, 0.0, 0.0, 0.0, 1.0, 1.0, turning**2])
+    believed = machine.model.values
+    lever_1_m = believed["robot.mass_kg"] / believed["robot.inertia_kg_m2"]
+    lever_1_m *= believed["robot.wheel_distance_m"]
+    uneven = len(y) * (UNEVEN_M_S2 * np.repeat([0.0, 1.0, lever_1_m], [4, 2, 1])) ** 2
 
     def shares_of(index: int) -> list[Predictable]:
         equation, target = EQUATIONS[index], y[:, index]

@@ -11,7 +11,7 @@ from omnislip.gap.leftover import UNKNOWN_SHARE, Leftover
 from omnislip.gap.machine import CURVE
 from omnislip.gap.metrics import LEAST_EXCESS, REPEATED, GapTable
 from omnislip.gap.noise import LASTING_RATE_1_S
-from omnislip.gap.predictable import EQUATIONS, OWN_PASTS_S, Predictable
+from omnislip.gap.predictable import BEAT_S, EQUATIONS, OWN_PASTS_S, Predictable
 from omnislip.gap.search import Outcome
 from omnislip.gap.selected import Selected
 
@@ -25,11 +25,11 @@ IN_PLACES, IN_PLACES_SHARE = 300.0, 0.02
 (36 nulls: 216 once, of friction near rest, else 76 at most), and share of what is named: the square
 of a seventh (beside 34 right names that close the gap 0.006 at most)."""
 PREDICTED_SHARE, SENSOR_SHARE, CURRENT_SHARE = 0.15, 0.05, 0.15
-_SHORT_S, _LONGER_S, _BEAT_S = (own[0] for own in OWN_PASTS_S)
+_SHORT_S, _LONGER_S = (own[0] for own in OWN_PASTS_S[:2])
 LASTING_SHARES = {
     _SHORT_S: float(np.exp(-2.0 * LASTING_RATE_1_S * _SHORT_S)),
     _LONGER_S: 1.5 * float(np.exp(-2.0 * LASTING_RATE_1_S * _LONGER_S)),
-    _BEAT_S: 0.15,
+    BEAT_S: 0.15,
 }
 """Share of the filter's disturbances that is predicted from what the robot did, and from their own
 past. Where nothing is missing the first is below 0.1, beside right names too. The second is what
