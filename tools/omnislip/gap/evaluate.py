@@ -29,15 +29,17 @@ from omnislip.gap.answers import likelier_held, likelier_with_rows
 from omnislip.gap.events import LEAST_PIECE_S, known_pushes
 from omnislip.gap.first_models import acting_late, acts_late, taken_as
 from omnislip.gap.gates import check, rows_far_apart
+from omnislip.gap.machine import Machine
 from omnislip.gap.metrics import gap_table, replay_all
 from omnislip.gap.noise import judging_noise, tune_noise
 from omnislip.gap.read_before import reading_machine
-from omnislip.gap.recordings import machine_for, unused_columns
+from omnislip.gap.recordings import Run, machine_for, unused_columns
 from omnislip.gap.settle import believed_hypothesis
 from omnislip.gap.split import LEAST_ROWS, MOST_FITTED_S, too_still, usable_runs
 from omnislip.gap.wiring import mend
-from omnislip.gap.words import HELD_COMMANDS, READ_BEFORE
-from omnislip.log_file import read_logs, without_copies
+from omnislip.gap.words import HELD_COMMANDS, OTHER_ZEROS, READ_BEFORE
+from omnislip.gap.zeros import find_zeros, moved
+from omnislip.log_file import Log, read_logs, without_copies
 from omnislip.model_file import read_model
 
 
@@ -63,11 +65,7 @@ def evaluate_model(
         raise InputError(f"the logs cannot be used: {checked.complaint}")
     machine = reading_machine(machine, checked.logs)
     cuts = checked.cuts + known_pushes(model, checked.logs)
-    runs = [
-        replace(run, unit=log.name)
-        for log in checked.logs
-        for run in usable_runs(machine, log, cuts)
-    ]
+    runs = _all_runs(machine, checked.logs, cuts)
     if not runs:
         raise InputError(
             f"{', '.join(map(str, log_paths))}: too short to be replayed; a log, or what is left "
@@ -100,6 +98,10 @@ def evaluate_model(
         machine = machine.of(model, jumps_with_rows=True)
         runs = taken_as(machine, runs)
         noise = tune_noise(machine, runs, machine.believed)
+    zeros = find_zeros(machine, checked.logs, cuts, noise, believed_hypothesis(machine))
+    if zeros:
+        runs = _all_runs(machine, [moved(log, zeros) for log in checked.logs], cuts)
+        told.append(OTHER_ZEROS)
     noise = judging_noise(machine, runs, machine.believed, noise)
     progress("replaying")
     table = gap_table(replay_all(machine, runs, noise, [machine.believed] * 3))
@@ -113,3 +115,10 @@ def evaluate_model(
         "noise_floor_source": table.floor_source,
         "recording": [*told, *checked.told],
     }
+
+
+def _all_runs(
+    machine: Machine, logs: Sequence[Log], cuts: Sequence[tuple[str, float]]
+) -> list[Run]:
+    pairs = [(log, run) for log in logs for run in usable_runs(machine, log, cuts)]
+    return [replace(run, unit=log.name) for log, run in pairs]

@@ -70,6 +70,7 @@ from omnislip.gap.words import (
     BLIND,
     FEW_RUNS,
     HELD_COMMANDS,
+    OTHER_ZEROS,
     READ_BEFORE,
     advice,
     impact_words,
@@ -81,10 +82,12 @@ from omnislip.gap.words import (
     undecided_words,
     unproven_words,
     unstable_words,
+    unsteady_names,
     verdict_words,
     weak_names,
     wiring_words,
 )
+from omnislip.gap.zeros import Counts, find_zeros, moved
 from omnislip.log_file import Log, read_logs, without_copies
 from omnislip.model_file import Effect, Model, read_model, with_definitions
 from omnislip.user_effects import read_definitions
@@ -113,6 +116,14 @@ class _Recorded:
     cuts: list[tuple[str, float]] = field(default_factory=list)
     wirings: list[list[Effect]] = field(default_factory=lambda: [[]])
     """The one that is mended, and others that these logs cannot tell from it."""
+    zeros: dict[str, Counts] | None = None
+    """By how much counts were moved, for encoders count from elsewhere; None before that is asked.
+    """
+
+    @property
+    def words(self) -> list[str]:
+        """What they told, in sentences."""
+        return [*self.told, *([OTHER_ZEROS] if self.zeros else [])]
 
 
 @dataclass(frozen=True)
@@ -247,6 +258,9 @@ def _search(recorded: _Recorded, progress: Progress, found: Found | None = None)
     if not known.enough:
         raise _InsufficientError(too_cut(known))
     machine, noise, first = first_models(recorded.machine, known.fitting)
+    if recorded.zeros is None:
+        recorded.zeros = find_zeros(machine, logs, cuts, noise, first)
+        recorded.logs = logs = [moved(log, recorded.zeros) for log in logs]
     runs, impacts = _pushes_beside(machine, logs, cuts, first, noise)
     least = 0
     left, turns = MOST_AGAIN, MOST_TURNS
@@ -345,6 +359,8 @@ def _findings(
     cautions = [FEW_RUNS] if outcome.selected and split.how not in WHOLE_RUNS else []
     cautions += [unstable_words(one) for one in outcome.selected if one.stability < STABLE]
     cautions += weak_names(outcome.selected)
+    if verdict != "unknown_effect":  # else the verdict says so
+        cautions += unsteady_names(outcome.selected)
     cautions += short_delay_words(outcome)
     cautions += [f"Besides, {unchecked}."] if unchecked else []
     cautions += [unproven] if unproven else []
@@ -391,7 +407,7 @@ def _findings(
         cautions,
         shapes,
         other_wirings,
-        recorded.told,
+        recorded.words,
         find_balances(machine, replays, outcome.data.noise, models),
         judging,
         moments,
@@ -550,7 +566,7 @@ def _insufficient(recorded: _Recorded, error: _InsufficientError) -> Findings:
         {},
         recorded.inputs,
         other_wirings=other_wirings,
-        recording=recorded.told,
+        recording=recorded.words,
     )
 
 

@@ -20,6 +20,7 @@ White, Econometrica 1982; Liang and Zeger 1986; few clusters: Bell and McCaffrey
 """
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import comb
@@ -301,10 +302,8 @@ class Data:
         news = news_of(machine, runs, self.tracks)
         self.feigned_gain = news.feigned_gain
         """Gain beyond chance below which an effect may be a controller's answer."""
-        self._newsless = self.runs
-        if news.answers:
-            pairs = zip(runs, news.new, strict=True)
-            self._newsless = [run.commanded(run.command - new) for run, new in pairs]
+        self._news = news.new if news.answers else None
+        self._newsless = self._without_news()
         columns = np.zeros((sum(len(run.t_s) for run in runs) * machine.engine.outputs, 0))
         if machine.kind == "robot":
             columns = hidden_columns(machine, self._newsless, self.tracks, values)
@@ -318,6 +317,19 @@ class Data:
         square = float(np.sum(residual**2)) / max(np.count_nonzero(residual), 1)
         self.scale = square**0.5 if scale is None else scale
         """Standard deviation of the innovations in units of what the noise says."""
+
+    def shown_as(self, runs: Sequence[Run]) -> "Data":
+        """Return these data with runs that differ in what nothing of the predictor depends on."""
+        data = copy(self)
+        data.runs, data.recordings = list(runs), [run.recording for run in runs]
+        data._newsless = data._without_news()
+        return data
+
+    def _without_news(self) -> list[Run]:
+        if self._news is None:
+            return self.runs
+        pairs = zip(self.runs, self._news, strict=True)
+        return [run.commanded(run.command - new) for run, new in pairs]
 
     @cached_property
     def _foreseen(self) -> Foreseen | None:

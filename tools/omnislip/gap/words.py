@@ -26,6 +26,7 @@ from omnislip.gap.verdict import (
     no_chance,
     refused_in_places,
     surely_refused,
+    unsteady,
     varying,
 )
 from omnislip.model_file import BOTH, ENCODERS, Effect
@@ -36,6 +37,10 @@ FEW_RUNS = (
 )
 BLIND = "where rows are missing: a push cannot be told from what was commanded there"
 HELD_COMMANDS = "duties: taken as held from row to row, as a controller at the rate of the log does"
+OTHER_ZEROS = (
+    "encoders: count from elsewhere in each log or at each wheel, as what repeats with their angle "
+    "tells; taken as if they did not"
+)
 READ_BEFORE = "currents and voltage: taken as read before the duty of their row began"
 WEAK_SHARE = 1e-2
 """Square of how far the other effects may be off what they do before they leave as much as a name
@@ -111,6 +116,15 @@ def weak_names(selected: Sequence[Selected]) -> list[str]:
         f"{100 * share**0.5:.0f} % off in what they do."
         for one, share in shares
         if share < WEAK_SHARE
+    ]
+
+
+def unsteady_names(selected: Sequence[Selected]) -> list[str]:
+    """Return a caution for each name whose size changes by more than chance."""
+    return [
+        f"The size of {one.candidate.name} changes by {100 * one.evidence.variation:.0f} % from "
+        "half second to half second: its shape is not quite what is there."
+        for one in unsteady(selected)
     ]
 
 

@@ -1,0 +1,247 @@
+"""Where do encoders count from?
+
+An encoder without an index counts from wherever its shaft was when it was switched on. What turns
+with shafts or wheels and is no round thing (cogging, a wheel out of round, rollers) then has
+another phase in each log and at each wheel: no one phase explains it. A zero is a state of a log,
+like where a robot starts, and tells nothing about the robot; it is estimated from each log, also
+from one that is held out, and the counts are moved by it.
+
+An effect of amplitude A that repeats n times per radian of the shaft changes the residuals by
+
+    A (cos(a) s + sin(a) c),    a = n times the zero, s = what it does from zero 0, c = a quarter on
+
+which is linear in A cos(a) and A sin(a). These are fitted for each log and wheel, beside the keys.
+If zeros are all that differs, then one amplitude serves all of them. That has to gain surely more
+than what zeros that are all the same explain.
+
+What to ask so is told by the filter's disturbances of the shafts: their power at n over the angle,
+whatever the phases, beside that of numbers between, at which nothing repeats.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import chi2
+
+from omnislip import _core
+from omnislip.gap.inference import Data, Hypothesis, fit, free_of_fitted, inflation_of
+from omnislip.gap.machine import PHASE, SHAPE_GRIDS, Machine, count_rad
+from omnislip.gap.noise import DISTURBANCES, SHAFT, Noise, RunawayError, track_all
+from omnislip.gap.recordings import Run
+from omnislip.gap.split import split_runs
+from omnislip.log_file import Log
+
+Array = npt.NDArray[np.float64]
+Counts = npt.NDArray[np.int64]
+
+BESIDE = np.array([-0.5, 0.5])
+"""Beside what repeats once, twice, ...: nothing does so often."""
+STANDS_OUT = 1.5
+"""Factor by which the power of what repeats exceeds that of what does not: worth asking."""
+ENCODER_OUTPUTS, ROW_S, FOLLOWS_S = slice(0, 4), 0.01, 0.008
+"""The last: time constant with which the filter's disturbances follow what is there."""
+ALL_OF_IT, LEAST_OFF = 0.9, 0.03
+"""Share of what amplitudes of each log and wheel explain that one must, zeros being all that
+differs; and of this what zeros that are the same must leave: those that are off by a sixth of a
+radian of what repeats. (By 0.06 they seemed to be where grip was off, too.)"""
+WAVES, P_VALUE = 60, 1e-6
+"""What is asked for, and chance that zeros which are the same do so much worse."""
+
+
+@dataclass(frozen=True)
+class _Wave:
+    """An effect that repeats so often per radian of a shaft, on some wheels."""
+
+    effect: str
+    shape: dict[str, float]
+    """What it is, beside amplitude and phase."""
+    per_rad: float
+    wheels: tuple[int, ...]
+    power: float
+    """Over that of what does not repeat."""
+
+
+def find_zeros(
+    machine: Machine,
+    logs: Sequence[Log],
+    pushes: Sequence[tuple[str, float]],
+    noise: Noise,
+    model: Hypothesis,
+) -> dict[str, Counts]:
+    """Return by how many counts (4,) to move the encoders of each log; nothing if none surely is.
+
+    `pushes` (run, time) cut the logs, `model` is one that is near enough to follow them.
+    """
+    if machine.kind != "robot":
+        return {}
+    runs = _runs(machine, logs, pushes)
+    try:
+        tracks = track_all(machine, runs, model.flat(machine.believed), noise)
+        wave = _strongest(machine, runs, tracks)
+        return _zeros(machine, logs, pushes, runs, noise, model, wave) if wave else {}
+    except RunawayError:
+        return {}
+
+
+def moved(log: Log, zeros: Mapping[str, Counts]) -> Log:
+    """Return the log as if its encoders had counted from elsewhere."""
+    if log.name not in zeros:
+        return log
+    columns = dict(log.columns)
+    for wheel, counts in enumerate(zeros[log.name], start=1):
+        columns[f"wheel/{wheel}/encoder_counts"] = columns[f"wheel/{wheel}/encoder_counts"] + counts
+    return replace(log, columns=columns)
+
+
+def _runs(machine: Machine, logs: Sequence[Log], pushes: Sequence[tuple[str, float]]) -> list[Run]:
+    split = split_runs(machine, logs, pushes)
+    return [*split.fitting, *split.held_out]
+
+
+def _strongest(
+    machine: Machine, runs: Sequence[Run], tracks: Sequence[_core.Track]
+) -> _Wave | None:
+    """Return what repeats most clearly with the angle of shafts, if anything does."""
+    found = []
+    for effect, label, amplitude, per_turn in (
+        ("cogging", "cycles_per_rev", "torque_nm", 1.0),
+        ("roller_ripple", "rollers", "amplitude", 1.0 / _gear_ratio(machine)),
+        ("wheel_eccentricity", None, "amplitude", 1.0 / _gear_ratio(machine)),
+    ):
+        numbers = np.array(SHAPE_GRIDS[effect, label] if label else [1.0])
+        if label and machine.believed[machine.place(effect, amplitude, 1)[0]]:  # the model has it
+            numbers = machine.believed[list(machine.place(effect, label, 1))]
+        beside = np.unique(np.round(numbers[:, None] + BESIDE, 2))
+        power, other = (
+            _powers(machine, runs, tracks, effect, per_turn * each) for each in (numbers, beside)
+        )
+        each_wheel = [(wheel,) for wheel in range(1, 5)]
+        for wheels in [(1, 2, 3, 4)] if label else each_wheel:
+            own = [wheel - 1 for wheel in wheels]
+            least = max(float(other[:, own].sum(axis=1).max()), 1e-300)
+            ratio = power[:, own].sum(axis=1) / least
+            best = int(np.argmax(ratio))
+            shape = {label: float(numbers[best])} if label else {}
+            per_rad = per_turn * float(numbers[best])
+            found.append(_Wave(effect, shape, per_rad, wheels, float(ratio[best])))
+    strongest = max(found, key=lambda wave: wave.power)
+    return strongest if strongest.power > STANDS_OUT else None
+
+
+def _gear_ratio(machine: Machine) -> float:
+    return float(machine.model.values["motor.gear_ratio"])
+
+
+def _powers(
+    machine: Machine,
+    runs: Sequence[Run],
+    tracks: Sequence[_core.Track],
+    effect: str,
+    per_rad: Array,
+) -> Array:
+    """Return the power (numbers, wheels) of disturbances of the shafts that repeat so often.
+
+    Over the angle, in proportion to what the effect goes with, each log with its own phase; in
+    units of what white noise has.
+    """
+    values = machine.model.values
+    names = list(dict.fromkeys(run.name for run in runs))
+    sums = np.zeros((len(names), len(per_rad), 4), complex)
+    white = np.zeros((len(names), len(per_rad), 4))
+    for run, track in zip(runs, tracks, strict=True):
+        shown = ~np.isnan(run.outputs[:, ENCODER_OUTPUTS]).any(axis=1)
+        rows = np.flatnonzero(shown & (run.t_s >= run.settled_s))
+        rows = rows[:: max(1, round(ROW_S / run.row_s))]
+        state = track.state.reshape(len(run.t_s), -1)[rows]
+        disturbance, speed = state[:, DISTURBANCES][:, :4], state[:, SHAFT]
+        weight = np.ones_like(speed)
+        if effect == "wheel_eccentricity":
+            weight = speed
+        elif effect == "roller_ripple":  # what drives the wheel
+            driving_v = float(values["motor.supply_v"]) * run.command[rows]
+            weight = driving_v - float(values["motor.back_emf_constant_v_s_rad"]) * speed
+        own, per_rad_of = names.index(run.name), per_rad[:, None, None]
+        angle = per_rad_of * run.outputs[rows, ENCODER_OUTPUTS]
+        followed = weight / (1.0 + 1j * FOLLOWS_S * per_rad_of * speed)
+        sums[own] += np.sum(disturbance * np.exp(-1j * angle) * followed.conj(), axis=1)
+        white[own] += np.mean(disturbance**2, axis=0) * np.sum(np.abs(followed) ** 2, axis=1)
+    power: Array = np.sum(np.abs(sums) ** 2 / np.maximum(white, 1e-300), axis=0)
+    return power
+
+
+def _zeros(
+    machine: Machine,
+    logs: Sequence[Log],
+    pushes: Sequence[tuple[str, float]],
+    runs: Sequence[Run],
+    noise: Noise,
+    model: Hypothesis,
+    wave: _Wave,
+) -> dict[str, Counts]:
+    """Return the zeros by which a wave explains surely more than by zeros that are the same."""
+    candidate = next(
+        c
+        for c in machine.candidates()
+        if c.effect == wave.effect and c.wheel in (None, wave.wheels[0])
+    )
+    with_it = model.flat(machine.believed)
+    for parameter in candidate.parameters:
+        places = list(parameter.places)
+        if parameter.label in wave.shape:
+            with_it[places] = wave.shape[parameter.label]
+        elif parameter.label != PHASE and not with_it[places].any():
+            with_it[places] = parameter.scale
+    has_it = np.array_equal(with_it, model.flat(machine.believed))
+    has_phase = any(parameter.label == PHASE for parameter in candidate.parameters)
+    per_count = wave.per_rad * count_rad(machine)
+    quarter = round(0.5 * np.pi / per_count)
+
+    data = Data(machine, runs, noise, model)
+    fitted = fit(data, model)
+
+    def shown(wheel: int, counts: int) -> Array:
+        """Residuals with the wave, the encoder of a wheel counting from elsewhere."""
+        by = np.where(np.arange(1, 5) == wheel, counts, 0)
+        elsewhere = [moved(log, {log.name: by}) for log in logs]
+        [residual] = data.shown_as(_runs(machine, elsewhere, pushes)).residuals(with_it[None])
+        return residual
+
+    here = shown(1, 0)
+    names = list(dict.fromkeys(run.name for run in data.runs))
+    parts = data.per_run(fitted.residual)
+    owner = np.repeat([names.index(run.name) for run in data.runs], [len(part) for part in parts])
+    columns = np.zeros((len(owner), len(names), len(wave.wheels), 2))
+    for place, wheel in enumerate(wave.wheels):
+        quarter_on, half_on = (shown(wheel, k * quarter) - here for k in (1, 2))
+        sine = -0.5 * half_on
+        columns[np.arange(len(owner)), owner, place] = np.stack([sine, quarter_on + sine], axis=1)
+    each = free_of_fitted(fitted, columns.reshape(len(owner), -1)).reshape(len(owner), -1, 2)
+    without = fitted.residual - has_it * each[..., 0].sum(axis=1)
+    sizes, left_by_each = _least(each.reshape(len(owner), -1), without)
+    angle = np.arctan2(*sizes.reshape(-1, 2)[:, ::-1].T)
+    turned = each[..., 0] @ np.cos(angle) + each[..., 1] @ np.sin(angle)
+    _, left_by_one = _least(turned[:, None], without)
+    same = each.sum(axis=1)[:, : 2 if has_phase else 1]
+    _, left_by_same = _least(same, without)
+    change = left_by_one - left_by_same
+    gains = [float(without @ without - left @ left) for left in (left_by_each, left_by_one)]
+    gain = float(left_by_same @ left_by_same - left_by_one @ left_by_one)
+    inflation = inflation_of(data, change[:, None], left_by_one, np.array([[change @ change]]))
+    chance = float(chi2.sf(gain / inflation, len(angle) - 1)) * WAVES
+    if chance >= P_VALUE or gain < LEAST_OFF * gains[1] or gains[1] < ALL_OF_IT * gains[0]:
+        return {}
+    first = angle[0] if has_phase and not has_it else 0.0
+    by = np.mod(angle - first + np.pi, 2.0 * np.pi) - np.pi
+    counts = np.zeros((len(names), 4), np.int64)
+    counts[:, [wheel - 1 for wheel in wave.wheels]] = np.round(by / per_count).reshape(
+        len(names), -1
+    )
+    return dict(zip(names, counts, strict=True))
+
+
+def _least(columns: Array, residual: Array) -> tuple[Array, Array]:
+    """Return sizes (k,) of columns (m, k) that leave least of a residual (m,), and what they do."""
+    sizes = -np.linalg.pinv(columns.T @ columns, hermitian=True) @ (columns.T @ residual)
+    return sizes, residual + columns @ sizes
