@@ -37,7 +37,7 @@ constexpr double kLoadShare = 0.2; /* wheel, shaft and last gear, of the drive's
  * than 900 rad/s is a shaft_compliance. */
 constexpr double kToothFrequency_rad_s = 1500.0, kToothDampingRatio = 0.3;
 constexpr double kCoolingTime_s = 60.0; /* of a winding into its housing */
-constexpr int kMaxEffectParameters = 7;
+constexpr int kMaxEffectParameters = 8;
 
 struct ParameterInfo {
     const char *name = nullptr;
@@ -929,35 +929,41 @@ struct ContactShape : Effect {
     static constexpr EffectInfo info = {
         "contact_shape",
         "The friction law bends otherwise between stick and slide.",
-        "(1 - b - c - d - e - f - g) (2/pi) atan(k s) + b tanh(x) + "
+        "(1 - b - c - d - e - f - g - h) (2/pi) atan(k s) + b tanh(x) + "
         "c sgn(x) (1 - max(1 - |x|/3, 0)^3) + d x / sqrt(1 + x^2) + e sgn(x) (1 - exp(-|x|)) + "
-        "f x / (1 + |x|) + g sgn(x) min(|x|, 1), x = (2/pi) k s; the rollers' law takes the share "
-        "`roller` of that change",
+        "f x / (1 + |x|) + g sgn(x) min(|x|, 1) + h sin(1.4 atan(x / 1.4)), x = (2/pi) k s; the "
+        "rollers' law takes the share `roller` of that change",
         "contact",
-        "tyre laws: c is the brush model (Pacejka, Tire and Vehicle Dynamics, 2012, 3.2); c to g "
-        "and roller only where b does not suffice",
+        "tyre laws: c is the brush model, h the magic formula, which falls behind a peak (Pacejka, "
+        "Tire and Vehicle Dynamics, 2012, 3.2 and 4.3); c to h and roller only where b does not "
+        "suffice",
         Scope::kWhole,
         kRobot,
         kContact,
-        7,
+        8,
         {{"blend", "1", 0.0, -1.0, 2.5, 0.4},
          {"brush", "1", 0.0, -2.5, 2.5, 0.3},
          {"root", "1", 0.0, -2.5, 2.5, 0.3},
          {"exponential", "1", 0.0, -2.5, 2.5, 0.3},
          {"roller", "1", 0.0, -0.5, 1.5, 0.5},
          {"rational", "1", 0.0, -2.5, 2.5, 0.3},
-         {"straight", "1", 0.0, -2.5, 2.5, 0.3}}};
+         {"straight", "1", 0.0, -2.5, 2.5, 0.3},
+         {"peaked", "1", 0.0, -2.5, 2.5, 0.3}}};
     template <class S, int N>
     static void contact(ContactTerm<S, N> &c, const Values<S> &p) {
-        const bool across = used(p(4)), root = used(p(2)), rational = used(p(5));
+        const bool across = used(p(4));
+        const Used uses = {used(p(2)), used(p(5)), used(p(7))};
         for (int i = 0; i < N; ++i) {
-            c.shape[i] = c.shape[i] + change(c.shape[i], c.scaled_slip[i], p, root, rational);
+            c.shape[i] = c.shape[i] + change(c.shape[i], c.scaled_slip[i], p, uses);
             if (across) {
-                const S more = change(c.roller_shape[i], c.scaled_roller[i], p, root, rational);
+                const S more = change(c.roller_shape[i], c.scaled_roller[i], p, uses);
                 c.roller_shape[i] = c.roller_shape[i] + p(4) * more;
             }
         }
     }
+    struct Used {
+        bool root, rational, peaked;
+    };
     /* Most laws have one share: the elementary functions of the others would be most of a step. */
     template <class S>
     static bool used(const S &share) {
@@ -965,10 +971,11 @@ struct ContactShape : Effect {
         return any_above(abs(share), 0.0);
     }
     template <class S>
-    static S change(const S &shape, const S &scaled_slip, const Values<S> &p, bool root,
-                    bool rational) {
+    static S change(const S &shape, const S &scaled_slip, const Values<S> &p, const Used &uses) {
         using std::abs;
+        using std::atan;
         using std::exp;
+        using std::sin;
         using std::sqrt;
         const S x = S(2.0 / kPi) * scaled_slip, size = abs(x);
         const S left = S(1.0) - size * S(1.0 / 3.0);
@@ -977,11 +984,13 @@ struct ContactShape : Effect {
         S even = p(0) * (S(1.0) - twice) / (S(1.0) + twice) +
                  p(1) * (S(1.0) - sticking * sticking * sticking) + p(3) * (S(1.0) - decay) +
                  p(6) * select(size < S(1.0), size, S(1.0));
-        if (root)
+        if (uses.root)
             even = even + p(2) * size / sqrt(S(1.0) + size * size);
-        if (rational)
+        if (uses.rational)
             even = even + p(5) * size / (S(1.0) + size);
-        const S shares = p(0) + p(1) + p(2) + p(3) + p(5) + p(6);
+        if (uses.peaked)
+            even = even + p(7) * sin(S(1.4) * atan(size * S(1.0 / 1.4)));
+        const S shares = p(0) + p(1) + p(2) + p(3) + p(5) + p(6) + p(7);
         return select(x < S(0.0), -even, even) - shares * shape;
     }
 };

@@ -186,6 +186,7 @@ class UserTerms {
     static S evaluate(const UserTerm &term, const Values<S> &parameters,
                       const UserInputs<S> &inputs, int wheel) {
         S stack[kUserStack];
+        stack[0] = S(0.0); /* a program is never empty, which no compiler knows */
         int top = -1;
         for (const UserInstruction &step : term.program) {
             if (step.operation == UserOperation::kConstant) {

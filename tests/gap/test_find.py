@@ -383,7 +383,7 @@ def test_names_that_close_nothing_on_held_out_runs_are_not_given(
 
 
 @pytest.mark.parametrize(
-    ("first", "final", "held"),
+    ("first", "last", "held"),
     [
         ([20.0], -1e3, [True, False]),
         ([9.0, 1.0], -50.0, [True]),
@@ -391,7 +391,7 @@ def test_names_that_close_nothing_on_held_out_runs_are_not_given(
         ([-20.0, -1.0], 50.0, [False]),
     ],
 )
-def test_commands_are_asked_again_by_a_better_model(tmp_path, monkeypatch, first, final, held):
+def test_commands_are_asked_again_by_a_better_model(tmp_path, monkeypatch, first, last, held):
     """Searched again, with runs to match, only where the first answer was surely wrong.
 
     A first model of one tuning is asked, and one of three where that is not sure. Pushes are looked
@@ -412,17 +412,19 @@ def test_commands_are_asked_again_by_a_better_model(tmp_path, monkeypatch, first
     monkeypatch.setattr(find, "search", search)
     monkeypatch.setattr(find, "_pushes_beside", pushes)
     monkeypatch.setattr(
-        first_models, "likelier_held", lambda *_: answers.pop() if answers else final
+        first_models, "likelier_held", lambda *_: answers.pop() if answers else last
     )
     weak = HiddenEffect("weak_motor", {"scale": 0.8}, 2).as_dict()
     write_case(TruthCase(seed=4, effects=(weak,), runs=3, run_duration_s=3.0), tmp_path)
-    findings = find_gap(tmp_path / "robot.toml", sorted(tmp_path.glob("run_*.csv")), silent)
+    logs = sorted(tmp_path.glob("run_*.csv"))
+    recorded = find._read(tmp_path / "robot.toml", logs, None, silent)
+    final = find._search(recorded, silent)
     assert (searched, answers) == (held, [])
     assert beside[0] == {"contact_shape"} and len(beside) == len(held)
     assert all("weak_motor (wheel 2)" in model for model in beside[1:])
-    assert findings.machine.holds_commands == held[-1]
-    assert findings.outcome.data.machine.holds_commands == held[-1]
-    assert (HELD_COMMANDS in findings.recording) == held[-1]
+    assert final.machine.holds_commands == held[-1]
+    assert final.outcome.data.machine.holds_commands == held[-1]
+    assert (HELD_COMMANDS in recorded.words) == held[-1]
 
 
 def test_what_was_found_is_nothing_where_it_loses_the_robot(monkeypatch):

@@ -7,6 +7,7 @@ import pytest
 from omnislip.gap import judge
 from omnislip.gap.inference import fit, spread_over_runs, weigh
 from omnislip.gap.judge import within_law
+from omnislip.gap.refit import extend_effects
 from omnislip.gap.settle import believed_hypothesis, settle
 from omnislip.gap.truth import TruthCase
 from omnislip.gap.truth_effects import HiddenEffect
@@ -49,6 +50,24 @@ def test_what_any_friction_law_leaves_is_no_falling_grip(tmp_path, fraction):
     assert within_law(data, curved, falling, 1) == (fraction == 0.0)
     rubbing = fit(data, curved.hypothesis.with_effect(candidates["coulomb_friction"], [1e-3]))
     assert not within_law(data, curved, rubbing, 1)
+
+
+def test_a_law_that_falls_behind_its_peak_is_no_falling_grip(tmp_path):
+    """By 8 %: no share of laws that do not fall takes that, and a grip that falls would."""
+    case = TruthCase(
+        seed=510, friction_curve="peaked", excitation="rich", runs=4, run_duration_s=4.0
+    )
+    robot, runs, candidates = robot_runs(case, tmp_path)
+    start = believed_hypothesis(robot).with_effect(candidates["contact_shape"], [0.1])
+    data, bent = settle(robot, runs, start)
+    gains = []
+    for curved in (bent, extend_effects(robot, data, bent)):
+        sizes = [0.05, 0.5]
+        falling = fit(data, curved.hypothesis.with_effect(candidates["grip_falloff"], sizes))
+        gains.append(curved.objective - falling.objective)
+    assert gains[0] > 100.0 > 10.0 > gains[1]
+    [law] = curved.hypothesis.effects
+    assert "peaked" in [parameter.label for parameter in law.parameters]
 
 
 @pytest.mark.parametrize(("seed", "law"), [(512, "atan"), (511, "brush"), (512, "brush")])

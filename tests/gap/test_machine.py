@@ -1,6 +1,7 @@
 """A model file as a point of the engine's parameter space: every key, every effect, every wheel."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -118,6 +119,33 @@ def test_bounds_of_a_weak_motor_hold_the_same_time_constant_and_share_of_its_cur
     for name, factor in (("armature_inductance", 30.0), ("current_limit", 1.0 / 30.0)):
         own, other = ours[name].parameters[0], theirs[name].parameters[0]
         assert (other.low, other.high) == pytest.approx((own.low * factor, own.high * factor))
+
+
+def limits_of(machine, runs):
+    found = {c.name: c for c in machine.candidates_for(runs)}["current_limit"]
+    return sorted(start[0] for start in found.starts)
+
+
+def test_limits_are_looked_for_below_what_makes_wheels_slide():
+    """A tenth of the resistance lets ten times the current through, and wheels slide as before."""
+    nominal = read_model(NOMINAL_ROBOT)
+    strong = dataclasses.replace(nominal, values=nominal.values | {"motor.resistance_ohm": 0.06})
+    runs = [SimpleNamespace(outputs=np.zeros((2, 4)), t_s=np.arange(2.0))]
+    shares = [2.5, 5.0, 9.0, 15.0]
+    assert limits_of(Machine(nominal), runs) == pytest.approx(shares)
+    expected = sorted([*shares, *(10.0 * share for share in shares)])
+    assert limits_of(Machine(strong), runs) == pytest.approx(expected)
+
+
+def test_limits_are_looked_for_where_logged_currents_end():
+    outputs = np.zeros((1000, 13))
+    outputs[:, 9:] = np.clip(np.linspace(-40.0, 40.0, 1000), -0.7, 0.7)[:, None]
+    outputs[::2, 9:] = np.nan
+    electric = Machine(read_model(NOMINAL_ROBOT), electric=True)
+    runs = [SimpleNamespace(outputs=outputs, t_s=np.arange(1000.0))]
+    assert limits_of(electric, runs)[0] == pytest.approx(0.7)
+    outputs[:, 9:] = np.nan
+    assert limits_of(electric, runs) == pytest.approx([2.5, 5.0, 9.0, 15.0])
 
 
 def test_every_candidate_has_a_size_to_look_for_within_its_bounds():

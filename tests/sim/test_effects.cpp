@@ -316,18 +316,18 @@ static void slip_stiffness_scales_the_slip(void) {
                          }));
 }
 
-/* (1 - b - c - d - e - f - g) atan law + b tanh(x) + c brush + d x / sqrt(1 + x^2) +
- * e (1 - exp(-|x|)) + f x / (1 + |x|) + g min(x, 1), x = (2/pi) k s: equal slope at rest; the brush
- * sticks with a part of its length, 1 - |x|/3, until x = 3. */
+/* (1 - b - c - d - e - f - g - h) atan law + b tanh(x) + c brush + d x / sqrt(1 + x^2) +
+ * e (1 - exp(-|x|)) + f x / (1 + |x|) + g min(x, 1) + h sin(1.4 atan(x / 1.4)), x = (2/pi) k s:
+ * equal slope at rest; the brush sticks with a part of its length, 1 - |x|/3, until x = 3. */
 static double bent(double speed_m_s) {
     const double x = 2.0 / kPi * 40.0 * speed_m_s;
     const double sticks = std::max(1.0 - std::abs(x) / 3.0, 0.0);
     const double brush = std::copysign(1.0 - std::pow(sticks, 3.0), x);
     const double exponential = std::copysign(1.0 - std::exp(-std::abs(x)), x);
     const double straight = std::copysign(std::min(std::abs(x), 1.0), x);
-    return 0.05 * 2.0 / kPi * std::atan(40.0 * speed_m_s) + 0.4 * std::tanh(x) + 0.3 * brush +
+    return 0.03 * 2.0 / kPi * std::atan(40.0 * speed_m_s) + 0.4 * std::tanh(x) + 0.3 * brush +
            0.1 * x / std::sqrt(1.0 + x * x) + 0.05 * exponential + 0.07 * x / (1.0 + std::abs(x)) +
-           0.03 * straight;
+           0.03 * straight + 0.02 * std::sin(1.4 * std::atan(x / 1.4));
 }
 
 /* The rollers take the share `roller` of the change of the law. */
@@ -339,6 +339,7 @@ static void assert_bends(double roller) {
                                                  .effect("contact_shape", "exponential", 0.05)
                                                  .effect("contact_shape", "rational", 0.07)
                                                  .effect("contact_shape", "straight", 0.03)
+                                                 .effect("contact_shape", "peaked", 0.02)
                                                  .effect("contact_shape", "roller", roller));
     for (int i = 0; i < 4; ++i) {
         const double across = in.roller_speed_m_s[i];

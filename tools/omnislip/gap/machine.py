@@ -84,6 +84,9 @@ CELL_SHARES = (15, 30, 45, 60, 75, 90)
 screen puts together to such places."""
 POSE_X, LEAST_POSES = 5, 50
 PLACES = 25
+CURRENT_LIMIT, CURRENTS, CLIPPED, LIMITS_APART = "current_limit", slice(9, 13), 99.0, 0.1
+"""Outputs that are currents; percentile of them at which they end that are clipped; and logarithm
+of the factor within which two limits are the same to start from."""
 DROPOUT, SPEED_SHARES, STILL_RAD_S = "encoder_dropout", (0.25, 0.5, 0.7, 0.85, 0.95, 1.0), 1.0
 """Speeds from which an encoder may lose counts, as shares of the fastest that it shows; what counts
 as that of one which stands still in all logs."""
@@ -290,8 +293,9 @@ class Machine:
         return [candidate for candidate in found if self._has_starts(candidate)]
 
     def candidates_for(self, runs: Sequence["Run"]) -> list[Candidate]:
-        """Return the candidates with starts from what the runs show: speeds, and places."""
-        found = [self._by_speed(c, runs) if c.effect == DROPOUT else c for c in self.candidates()]
+        """Return the candidates with starts from what the runs show: speeds, currents, places."""
+        by = {DROPOUT: self._by_speed, CURRENT_LIMIT: self._by_current}
+        found = [by[c.effect](c, runs) if c.effect in by else c for c in self.candidates()]
         return [*found, *self.floor_candidates(runs)]
 
     def _by_speed(self, candidate: Candidate, runs: Sequence["Run"]) -> Candidate:
@@ -299,6 +303,28 @@ class Machine:
         speeds = [np.abs(np.diff(run.outputs[:, angle]) / np.diff(run.t_s)) for run in runs]
         fastest = max(float(np.nanpercentile(np.concatenate(speeds), 99.9)), STILL_RAD_S)
         return replace(candidate, starts=tuple({1: share * fastest} for share in SPEED_SHARES))
+
+    def _by_current(self, candidate: Candidate, runs: Sequence["Run"]) -> Candidate:
+        """Start limits in proportion to what makes wheels slide, too, and where currents end.
+
+        Besides in proportion to stall: of a robot that a tenth of that sets sliding more shows
+        nowhere.
+        """
+        if self.kind != "robot":
+            return candidate
+        limits = [start[0] for start in candidate.starts]
+        nominal = SHAPE_GRIDS[CURRENT_LIMIT, "limit_a"]
+        limits += [self._grip_current_ratio * limit for limit in nominal]
+        if self.electric:
+            shown = np.abs(np.concatenate([run.outputs[:, CURRENTS].ravel() for run in runs]))
+            if not np.isnan(shown).all():
+                limits.append(float(np.nanpercentile(shown, CLIPPED)))
+        apart = [
+            limit
+            for number, limit in enumerate(limits)
+            if all(abs(np.log(limit / other)) > LIMITS_APART for other in limits[:number])
+        ]
+        return replace(candidate, starts=tuple({0: limit} for limit in apart))
 
     def floor_candidates(self, runs: Sequence["Run"]) -> list[Candidate]:
         """Return what depends on the place, with starts from the places that the pose shows."""
@@ -513,15 +539,24 @@ class Machine:
         common = self._sizes.get(unit, 1.0)
         return self._sizes.get((self.catalogue[effect]["where"], unit), common)
 
+    def _ratio(self, key: str) -> float:
+        """How much larger a key is than that of the nominal robot."""
+        nominal = {p["name"]: p["default"] for p in _core.base_parameters("robot")}
+        value = float(self.model.values[key])  # type: ignore[arg-type]
+        return value / nominal[key] if value > 0 else 1.0
+
+    @property
+    def _grip_current_ratio(self) -> float:
+        """How much larger the current is that makes a wheel slide: mu m g R / (4 n k2)."""
+        ratio = self._ratio
+        force = ratio("contact.mu_drive") * ratio("robot.mass_kg") * ratio("contact.gravity_m_s2")
+        at_shaft = ratio("robot.wheel_radius_m") / ratio("motor.gear_ratio")
+        return force * at_shaft / ratio("motor.torque_constant_nm_a")
+
     @cached_property
     def _sizes(self) -> dict[str | tuple[str, str], float]:
         """Sizes by unit, or by what it is about and unit: those of motors, drives and bodies."""
-        nominal = {p["name"]: p["default"] for p in _core.base_parameters("robot")}
-
-        def ratio(key: str) -> float:
-            value = float(self.model.values[key])  # type: ignore[arg-type]
-            return value / nominal[key] if value > 0 else 1.0
-
+        ratio = self._ratio
         resistance, mass = ratio("motor.resistance_ohm"), ratio("robot.mass_kg")
         distance, motor = ratio("robot.wheel_distance_m"), ratio("motor.inertia_kg_m2")
         stall_a = ratio("motor.supply_v") / resistance
@@ -616,6 +651,7 @@ EXTENSIONS = {
     (CURVE, "exponential"),
     (CURVE, "rational"),
     (CURVE, "straight"),
+    (CURVE, "peaked"),
     (CURVE, "roller"),
     ("shaft_compliance", "load_share"),
     ("gear_backlash", "load_share"),

@@ -123,10 +123,10 @@ class TruthCase:
     """What is hidden and how the robot is driven.
 
     effects: dicts {"name", "parameters", optional "wheel" 1..4, "run" "run_01"}. friction_curve:
-    atan, tanh, brush or, never at random, rational, straight. excitation: rich, ordinary, poor.
-    sensors: of gyro, pose, supply, current. noise_level scales process and sensor noise, 0 is off;
-    row_s is the time between rows, disorder scales their jitter and losses. Raises InputError for
-    anything else.
+    atan, tanh, brush or, never at random, rational, straight, peaked. excitation: rich, ordinary,
+    poor. sensors: of gyro, pose, supply, current. noise_level scales process and sensor noise, 0 is
+    off; row_s is the time between rows, disorder scales their jitter and losses. Raises InputError
+    for anything else.
     """
 
     seed: int

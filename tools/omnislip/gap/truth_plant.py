@@ -15,7 +15,7 @@ wheel i at p_i:
     body       m a_G = F + m g_slope,  Iz dw/dt = M_G
 phi has the initial slope 2 k / pi for each curve, x = (2/pi) k s:
     atan (2/pi) atan(k s);  tanh  tanh(x);  brush  x / sqrt(1 + x^2);  rational  x / (1 + |x|);
-    straight  x up to 1
+    straight  x up to 1;  peaked  sin(1.25 atan(x / 1.25)), which falls to 0.92
 The parameters are one record of `PLANT`; with the values of `neutral_plant` every effect vanishes
 exactly. Source: equations (3)-(13) of the paper with the errata listed beside the plant in `sim/`.
 """
@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 
 STEP_S = 1e-4
 TICKS_PER_MS = 10
-FRICTION_CURVES = ("atan", "tanh", "brush", "rational", "straight")
+FRICTION_CURVES = ("atan", "tanh", "brush", "rational", "straight", "peaked")
 
 # Columns of the history that `simulate_run` returns, one row per 0.1 ms tick, after the pose.
 VELOCITY = slice(3, 6)
@@ -221,6 +221,8 @@ def friction_curve(curve: int, slope_times_slip: float) -> float:
         return x / (1.0 + abs(x))
     if curve == 4:
         return min(max(x, -1.0), 1.0)
+    if curve == 5:
+        return math.sin(1.25 * math.atan(x / 1.25))
     return x / math.sqrt(1.0 + x * x)
 
 
