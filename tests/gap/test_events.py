@@ -211,6 +211,37 @@ def test_a_push_is_sized_up_right_though_a_wheel_that_slides_grips_less(monkeypa
     assert deviations[0] < 3.0 and deviations[1] > 5.0
 
 
+def test_a_hard_push_that_is_known_is_looked_for_from_what_it_was(monkeypatch):
+    """Where nothing of what the filter shows leads there: the replay from that size decides."""
+    model = read_model(NOMINAL_ROBOT)
+    driving = [{"t_s": 0.0, "kind": "velocity", "value": [0.5, 0.3, 0.5]}]
+    machine = Machine(model)
+    runs, impacts = [], []
+    for push_n_s in (7.0, 3.0):  # 0.35 and 0.15 m/s
+        effect = Effect(
+            "impact", dict(zip(IMPACT_KEYS, (2.5, push_n_s, 0, 0), strict=True)), run="run"
+        )
+        robot = replace(model, effects=[effect])
+        scenario = Scenario("run", 4.0, robot, driving, sensors=Sensors(pose_noise_m=0.001), seed=1)
+        runs.append(make_run(machine, make_log(scenario, simulate_truth(scenario))))
+    noise = tune_noise(machine, runs[1:], machine.believed)
+    for run in runs:
+        impacts += find_impacts(machine, [run], machine.believed, noise)
+    hard, light = impacts
+    monkeypatch.setattr(events, "peaks", lambda *_: [])
+
+    def found(run, known):
+        return find_impacts(machine, [run], machine.believed, noise, known)
+
+    assert found(runs[0], []) == []
+    (again,) = found(runs[0], [hard])
+    assert again.impulse == pytest.approx(hard.impulse, abs=0.3)
+    assert again.time_s == pytest.approx(hard.time_s, abs=0.005)
+    assert found(runs[0], [replace(hard, run="other")]) == []
+    assert found(runs[0], [replace(hard, time_s=1.5)]) == []
+    assert found(runs[1], [light]) == []
+
+
 @pytest.mark.parametrize("latency_s", [0.0, 0.035])
 def test_a_push_is_sized_up_by_what_a_late_camera_can_have_seen(latency_s):
     """It shows 0.175 rad less than the robot has turned, and the push 35 ms later."""

@@ -112,10 +112,10 @@ def test_a_push_that_a_wider_patch_does_without_is_none(tmp_path, monkeypatch):
     push, feigned = (Impact("run_01", at_s, np.ones(3), np.zeros(3)) for at_s in (1.0, 2.5))
     found = {low_m[0]: [push]}
 
-    def pushes_in(_machine, _logs, _runs, model, _noise):
+    def pushes_in(_machine, _logs, _runs, model, _noise, _known):
         return found.get(model.values_of(0)[0], [push, feigned])
 
     monkeypatch.setattr(find, "_pushes_in", pushes_in)
-    assert find._pushes_by(robot, [], runs, outcome) == [push]
+    assert find._pushes_by(robot, [], runs, outcome, []) == [push]
     bare = replace(outcome, selected=())
-    assert find._pushes_by(robot, [], runs, bare) == [push, feigned]
+    assert find._pushes_by(robot, [], runs, bare, []) == [push, feigned]

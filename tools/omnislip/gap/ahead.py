@@ -19,7 +19,7 @@ from omnislip.gap.judge import (
     both_pass,
     judge_candidate,
 )
-from omnislip.gap.machine import CURVE, Candidate, Machine, stall_acceleration_rad_s2
+from omnislip.gap.machine import CURRENT_LIMIT, CURVE, Candidate, Machine, stall_acceleration_rad_s2
 from omnislip.gap.noise import (
     DISTURBANCES,
     SHAFT,
@@ -255,6 +255,30 @@ class Ahead:
         if best.likelihood < max(others) + SURE_GAIN / 2:
             return None
         further = self._by_its_noise(best.model.effects[-1], best.model)
+        if further is None:
+            return None
+        self.trials.append(further.trial)
+        return further if further.trial.accepted else None
+
+    def clipped(self, accepted: Fit | None) -> Further | None:
+        """Return the model with a limit of currents where logged ones end, if likelier than all.
+
+        By the filter of a model that lets 40 A through the limit of 2 A that is there promised
+        nothing, and a driver that is not linear was named, and springs.
+        """
+        data = self._data
+        limit_a = data.machine.clipped_at_a(data.runs)
+        candidate = next((c for c in self._candidates if c.effect == CURRENT_LIMIT), None)
+        if candidate is None or limit_a is None:
+            return None
+        self._progress(f"step {self._step}: looking where currents end")
+        model = self._current.hypothesis.with_effect(candidate, [limit_a])
+        others = [one.hypothesis for one in (self._current, accepted) if one]
+        few = some_runs(data.runs)
+        own, *theirs = side_by_side(lambda one: _by_own_noise(data, one, few), [model, *others])
+        if own < max(theirs) + SURE_GAIN / 2:
+            return None
+        further = self._by_its_noise(candidate, model)
         if further is None:
             return None
         self.trials.append(further.trial)

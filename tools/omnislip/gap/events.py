@@ -185,16 +185,25 @@ def _if_known(jump: Array, deviation: Array) -> float:
 
 
 def find_impacts(
-    machine: Machine, runs: Sequence[Run], values: Array, noise: Noise
+    machine: Machine,
+    runs: Sequence[Run],
+    values: Array,
+    noise: Noise,
+    known: Sequence[Impact] = (),
 ) -> list[Impact]:
-    """Return the impacts in the runs, by run and time."""
+    """Return the impacts in the runs, by run and time.
+
+    `known` ones were found beside another model, and are looked for from what they were there.
+    """
     if machine.kind != "robot":
         return []
-    found = side_by_side(lambda run: _impacts_in(machine, run, values, noise), runs)
+    found = side_by_side(lambda run: _impacts_in(machine, run, values, noise, known), runs)
     return without_repeated(runs, [impact for own in found for impact in own])
 
 
-def _impacts_in(machine: Machine, run: Run, values: Array, noise: Noise) -> list[Impact]:
+def _impacts_in(
+    machine: Machine, run: Run, values: Array, noise: Noise, known: Sequence[Impact]
+) -> list[Impact]:
     [track] = track_all(machine, [run], values, noise, keep_linear=True)
     filtered, impacts = track.state.reshape(len(run.t_s), -1), []
     pushes = Jumps(machine, run, track, known_s=_teeth_known_s(machine, run, filtered, values))
@@ -234,6 +243,18 @@ def _impacts_in(machine: Machine, run: Run, values: Array, noise: Noise) -> list
             least = max(LEAST_JUMP_M_S, _feigned_m_s(machine, run, row, values))
             if shown and impact.confirmed and least <= jump_m_s <= MOST_JUMP_M_S:
                 impacts.append(impact)
+    for one in known:
+        # Along a better filter that knows of no hard push its linear response may point backwards.
+        around = np.abs(run.t_s - one.time_s) < HORIZON_S
+        shown = one.run == run.name and ratio[around].max(initial=0.0) > threshold
+        if not shown or any(one.near(other) for other in impacts):
+            continue
+        row = int(np.searchsorted(run.t_s[:-2], one.time_s + SPAN_S / 2.0))
+        impact = _size_up(machine, run, row, values, noise, filtered, one.jump, 1)
+        jump_m_s = impact.jump_m_s(machine)
+        least = max(HARD_M_S, _feigned_m_s(machine, run, row, values))
+        if impact.confirmed and least <= jump_m_s <= MOST_JUMP_M_S:
+            impacts.append(impact)
     impacts = [
         one
         for one in impacts

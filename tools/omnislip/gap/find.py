@@ -457,7 +457,12 @@ def _pushes_beside(
 
 
 def _pushes_in(
-    machine: Machine, logs: Sequence[Log], runs: Sequence[Run], model: Hypothesis, noise: Noise
+    machine: Machine,
+    logs: Sequence[Log],
+    runs: Sequence[Run],
+    model: Hypothesis,
+    noise: Noise,
+    known: Sequence[Impact] = (),
 ) -> list[Impact]:
     """Return the impacts in runs of the logs, but for what comes of one shortly before.
 
@@ -465,7 +470,7 @@ def _pushes_in(
     they grip again, and finds out then. One that begins behind the push is not.
     """
     values = model.flat(machine.believed)
-    impacts = find_impacts(machine, runs, values, noise)
+    impacts = find_impacts(machine, runs, values, noise, known)
     named, told = {log.name: log for log in logs}, []
     for one in impacts:
         before_s = [other.time_s for other in impacts if one.just_after(other)]
@@ -481,16 +486,22 @@ def _pushes_in(
 
 
 def _pushes_by(
-    machine: Machine, logs: Sequence[Log], runs: Sequence[Run], outcome: Outcome
+    machine: Machine,
+    logs: Sequence[Log],
+    runs: Sequence[Run],
+    outcome: Outcome,
+    known: Sequence[Impact],
 ) -> list[Impact]:
     """Return the impacts beside what was found, a patch in the floor as wide as it may be, too.
+
+    `known` are those that were cut out of the logs.
 
     Where its edge may be as well, a patch does what a push would: one that leaves it, say.
     """
     noise = outcome.data.noise
-    impacts = _pushes_in(machine, logs, runs, outcome.final.hypothesis, noise)
+    impacts = _pushes_in(machine, logs, runs, outcome.final.hypothesis, noise, known)
     if impacts and any(one.candidate.edges_m for one in outcome.selected):
-        wider = _pushes_in(machine, logs, runs, outcome.widest, noise)
+        wider = _pushes_in(machine, logs, runs, outcome.widest, noise, known)
         impacts = [one for one in impacts if any(one.near(other) for other in wider)]
     return impacts
 

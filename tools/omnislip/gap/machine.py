@@ -84,9 +84,12 @@ CELL_SHARES = (15, 30, 45, 60, 75, 90)
 screen puts together to such places."""
 POSE_X, LEAST_POSES = 5, 50
 PLACES = 25
-CURRENT_LIMIT, CURRENTS, CLIPPED, LIMITS_APART = "current_limit", slice(9, 13), 99.0, 0.1
-"""Outputs that are currents; percentile of them at which they end that are clipped; and logarithm
-of the factor within which two limits are the same to start from."""
+CURRENT_LIMIT, CURRENTS, LIMITS_APART = "current_limit", slice(9, 13), 0.1
+"""Outputs that are currents; logarithm of the factor within which two limits are the same to start
+from."""
+CLIPPED, CLIPPED_ALIKE = (90.0, 99.0), 0.9
+"""Percentiles of currents that are the same where a limit clips them, but for noise: normal ones
+have 0.64 there."""
 DROPOUT, SPEED_SHARES, STILL_RAD_S = "encoder_dropout", (0.25, 0.5, 0.7, 0.85, 0.95, 1.0), 1.0
 """Speeds from which an encoder may lose counts, as shares of the fastest that it shows; what counts
 as that of one which stands still in all logs."""
@@ -315,16 +318,23 @@ class Machine:
         limits = [start[0] for start in candidate.starts]
         nominal = SHAPE_GRIDS[CURRENT_LIMIT, "limit_a"]
         limits += [self._grip_current_ratio * limit for limit in nominal]
-        if self.electric:
-            shown = np.abs(np.concatenate([run.outputs[:, CURRENTS].ravel() for run in runs]))
-            if not np.isnan(shown).all():
-                limits.append(float(np.nanpercentile(shown, CLIPPED)))
+        limits += [limit for limit in [self.clipped_at_a(runs)] if limit]
         apart = [
             limit
             for number, limit in enumerate(limits)
             if all(abs(np.log(limit / other)) > LIMITS_APART for other in limits[:number])
         ]
         return replace(candidate, starts=tuple({0: limit} for limit in apart))
+
+    def clipped_at_a(self, runs: Sequence["Run"]) -> float | None:
+        """Return where logged currents end, if a tenth of them do."""
+        if not self.electric:
+            return None
+        shown = np.abs(np.concatenate([run.outputs[:, CURRENTS].ravel() for run in runs]))
+        if np.isnan(shown).all():
+            return None
+        some, most = np.nanpercentile(shown, CLIPPED)
+        return float(most) if some > CLIPPED_ALIKE * most else None
 
     def floor_candidates(self, runs: Sequence["Run"]) -> list[Candidate]:
         """Return what depends on the place, with starts from the places that the pose shows."""

@@ -192,6 +192,7 @@ def search(
         ahead = Ahead(data, current, candidates, step, tried, progress)
         # By the filter of a model without them some effects promise nothing.
         far = [ahead.far(c, accepted) for c in candidates if c.effect in (DELAY, *FAR_SIZES)]
+        far.append(ahead.clipped(accepted))
         if accepted is None or not looked_for_loose:  # what is named instead hides them
             far.append(ahead.loose(accepted))
             looked_for_loose |= ahead.looked_for_loose
