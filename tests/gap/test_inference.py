@@ -547,6 +547,15 @@ def test_what_an_effect_does_alike_it_may_leave_in_full_and_elsewhere_nothing():
     assert left_by_shapes(None, fitted, 0.0 * alike, MUCH, lambda e: share) == 0.0
 
 
+def test_what_knows_nothing_of_a_change_leaves_it_by_chance_only():
+    """Errors of one sign in each of four blocks add in squares, not with the sign of the change."""
+    fitted, change = doing(np.full(8, 10.0)), np.array([1.0, -1.0] * 4)
+    data = SimpleNamespace(blocks=np.arange(8) // 2)
+    for unrelated, gain in ((False, 8 * 100.0), (True, 4 * 20.0**2 / 8)):
+        found = left_by_shapes(data, fitted, change, MUCH, lambda _: 1.0, lambda _, x=unrelated: x)
+        assert found == pytest.approx(gain)
+
+
 def test_no_more_is_left_along_a_change_than_is_seen_at_all():
     """An effect that does 1000 deviations of chance, 3 % of which would be 30, and is half of it
     alike: where two are all that is left, it may leave two in these."""

@@ -119,6 +119,33 @@ def test_a_slope_that_no_law_has_is_told_beside_another_curve(tmp_path, monkeypa
     assert within_law(data, both.refitted_without(data, 1), both, 1) == (scale == 1.0)
 
 
+@pytest.mark.parametrize(
+    ("name", "other", "unrelated"),
+    [
+        ("cogging", "current_limit", True),
+        ("roller_ripple", "wheel_eccentricity", False),
+        ("coulomb_friction", "current_limit", False),
+    ],
+)
+def test_shapes_of_what_does_not_turn_know_nothing_of_what_repeats_with_an_angle(
+    monkeypatch, name, other, unrelated
+):
+    own, beside = SimpleNamespace(effect=name), SimpleNamespace(effect=other)
+    fitted = SimpleNamespace(
+        hypothesis=SimpleNamespace(effects=(beside, own)), residual=np.zeros(2)
+    )
+    asked = []
+    monkeypatch.setattr(
+        judge,
+        "left_by_shapes",
+        lambda _, __, ___, ____, share_of, known: asked.append(
+            [(share_of(effect), known(effect)) for effect in (beside, own)]
+        ),
+    )
+    judge.left_by_others(None, SimpleNamespace(residual=np.ones(2)), fitted, 1)
+    assert asked == [[(1.0, unrelated), (0.0, False)]]
+
+
 @pytest.mark.parametrize(("name", "left"), [("contact_shape", False), ("rolling_resistance", True)])
 def test_the_friction_curve_owes_less_to_the_shapes_of_strong_effects(monkeypatch, name, left):
     """27,500, 3,700 beyond chance, where others leave 8,000 if 3 % off: beside a dead zone."""

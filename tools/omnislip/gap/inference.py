@@ -733,10 +733,13 @@ def left_by_shapes(
     change: Array,
     left: Array,
     share_of: Callable[[Candidate], float],
+    unrelated: Callable[[Candidate], bool] = lambda _: False,
 ) -> float:
     """Return the gain along a change of the residuals (m,) that shapes of effects may leave.
 
-    `left` are the residuals (m,) without the change.
+    `left` are the residuals (m,) without the change, `unrelated` tells effects that know nothing of
+    what the change goes with, as a limit of the current does of angles: they are off as they are,
+    with one sign in a block as in the next by chance only.
 
     No plant has an effect's shape exactly. One that is off by a share e_i of what the effect does
     in residual i, a_i, leaves e_i a_i there. With |e_i| <= e that gives a change k a gain of up to
@@ -753,15 +756,25 @@ def left_by_shapes(
     actions = fitted.actions(data)
     by_least = np.maximum(LEAST_OFF**2 * np.sum(actions**2, axis=1), 1e-12)
     shares = shares * np.minimum(1.0, float(left @ left) / by_least)
-    return float(shares @ most_along(actions, change))
+    along = most_along(actions, change)
+    by_chance = [unrelated(effect) for effect in fitted.hypothesis.effects]
+    if any(by_chance):
+        along = np.where(by_chance, most_along(actions, change, data.blocks), along)
+    return float(shares @ along)
 
 
-def most_along(actions: Array, change: Array) -> Array:
-    """Return the most gain (n,) along a change (m,) that actions (n, m) leave if all off."""
+def most_along(actions: Array, change: Array, blocks: npt.NDArray[np.int64] | None = None) -> Array:
+    """Return the most gain (n,) along a change (m,) that actions (n, m) leave if all off.
+
+    `blocks` (m,): in each of these with a sign of its own.
+    """
     square = float(change @ change)
     if not square:
         return np.zeros(len(actions))
-    return (np.abs(actions) @ np.abs(change)) ** 2 / square
+    if blocks is None:
+        return (np.abs(actions) @ np.abs(change)) ** 2 / square
+    each = [np.bincount(blocks, np.abs(action * change)) for action in actions]
+    return np.sum(np.square(each), axis=1) / square
 
 
 @dataclass(frozen=True)

@@ -52,6 +52,8 @@ stand for one of them beside another curve."""
 FRICTION_OVER_SLIP = (CURVE, *CURVES)
 LAW_ENTERS = (*FRICTION_OVER_SLIP, "bristle_relaxation")
 """Also what takes a part of what friction is off its law: bristles hold what friction allows."""
+TURNING = ("cogging", "roller_ripple", "wheel_eccentricity")
+"""What repeats with an angle, of which the shape of no other effect knows."""
 TOO_SHORT = "shorter than the log can time: an eighth of a row"
 LITTLE_CURVED = 0.1
 """Share of every other law to start a free curve from."""
@@ -195,7 +197,12 @@ def left_by_others(data: Data, without: Fit, fitted: Fit, index: int) -> float:
     own = fitted.hypothesis.effects[index]
     change = without.residual - fitted.residual
     return left_by_shapes(
-        data, fitted, change, without.residual, lambda effect: 0.0 if effect is own else 1.0
+        data,
+        fitted,
+        change,
+        without.residual,
+        lambda effect: 0.0 if effect is own else 1.0,
+        lambda effect: own.effect in TURNING and effect.effect not in TURNING,
     )
 
 
