@@ -286,7 +286,7 @@ def _search(recorded: _Recorded, progress: Progress, found: Found | None = None)
             continue
         found = outcome.found
         progress("looking for impacts with the final model")
-        confirmed = _pushes_by(machine, logs, runs, outcome)
+        confirmed = _pushes_by(machine, logs, runs, outcome, impacts)
         cut_out = [new for new in confirmed if any(new.near(old) for old in impacts)]
         settled = len(cut_out) == len(confirmed)
         impacts = confirmed if left else cut_out  # what was fitted as well is not to be told
