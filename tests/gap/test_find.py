@@ -461,9 +461,13 @@ def test_turns_to_another_machine_cost_no_search_for_pushes(monkeypatch):
     monkeypatch.setattr(find, "_pushes_beside", lambda *_: ([], []))
     monkeypatch.setattr(find, "_pushes_by", lambda *_: push[: len(outcomes)])
     monkeypatch.setattr(find, "_by_lost_rows", lambda logs, impacts: (impacts, []))
-    recorded = SimpleNamespace(machine=machine, logs=[], cuts=[], told=[])
+    asked = []
+    monkeypatch.setattr(find, "find_zeros", lambda *_: asked.append(True) or {})
+    recorded = SimpleNamespace(machine=machine, logs=[], cuts=[], told=[], zeros=None)
     find._search(recorded, lambda _: None)
     assert len(outcomes) == 1 + find.MOST_AGAIN and not turns
+    find._search(recorded, lambda _: None)
+    assert asked == [True]  # once for all logs, whichever are held out
 
 
 @pytest.mark.parametrize(("effects", "again"), [(0, False), (1, False), (2, True), (3, True)])
