@@ -219,26 +219,37 @@ def _zeros(
         columns[np.arange(len(owner)), owner, place] = np.stack([sine, quarter_on + sine], axis=1)
     each = free_of_fitted(fitted, columns.reshape(len(owner), -1)).reshape(len(owner), -1, 2)
     without = fitted.residual - has_it * each[..., 0].sum(axis=1)
-    sizes, left_by_each = _least(each.reshape(len(owner), -1), without)
-    angle = np.arctan2(*sizes.reshape(-1, 2)[:, ::-1].T)
-    turned = each[..., 0] @ np.cos(angle) + each[..., 1] @ np.sin(angle)
-    _, left_by_one = _least(turned[:, None], without)
-    same = each.sum(axis=1)[:, : 2 if has_phase else 1]
-    _, left_by_same = _least(same, without)
-    change = left_by_one - left_by_same
-    gains = [float(without @ without - left @ left) for left in (left_by_each, left_by_one)]
-    gain = float(left_by_same @ left_by_same - left_by_one @ left_by_one)
-    inflation = inflation_of(data, change[:, None], left_by_one, np.array([[change @ change]]))
-    chance = float(chi2.sf(gain / inflation, len(angle) - 1)) * WAVES
-    if chance >= P_VALUE or gain < LEAST_OFF * gains[1] or gains[1] < ALL_OF_IT * gains[0]:
+    angle = _phases(data, each, without, has_phase)
+    if angle is None:
         return {}
     first = angle[0] if has_phase and not has_it else 0.0
     by = np.mod(angle - first + np.pi, 2.0 * np.pi) - np.pi
     counts = np.zeros((len(names), 4), np.int64)
-    counts[:, [wheel - 1 for wheel in wave.wheels]] = np.round(by / per_count).reshape(
-        len(names), -1
-    )
+    own = [wheel - 1 for wheel in wave.wheels]
+    counts[:, own] = np.round(by / per_count).reshape(len(names), -1)
     return dict(zip(names, counts, strict=True))
+
+
+def _phases(data: Data, each: Array, without: Array, has_phase: bool) -> Array | None:
+    """Return the phase (places,) of a wave in each log at each wheel; None if one may serve all.
+
+    `each` (m, places, 2) are its sine and cosine there, `without` (m,) the residuals without it. An
+    effect that `has_phase` explains any one phase, another only that of zero.
+    """
+    sizes, left_by_each = _least(each.reshape(len(without), -1), without)
+    angle = np.arctan2(*sizes.reshape(-1, 2)[:, ::-1].T)
+    turned = each[..., 0] @ np.cos(angle) + each[..., 1] @ np.sin(angle)
+    _, left_by_one = _least(turned[:, None], without)
+    _, left_by_same = _least(each.sum(axis=1)[:, : 2 if has_phase else 1], without)
+    whole, of_each, of_one, of_same = (
+        float(left @ left) for left in (without, left_by_each, left_by_one, left_by_same)
+    )
+    gain, change = of_same - of_one, left_by_one - left_by_same
+    inflation = inflation_of(data, change[:, None], left_by_one, np.array([[change @ change]]))
+    chance = float(chi2.sf(gain / inflation, len(angle) - 1)) * WAVES
+    one_serves = whole - of_one >= ALL_OF_IT * (whole - of_each)
+    sure = chance < P_VALUE and gain >= LEAST_OFF * (whole - of_one)
+    return angle if one_serves and sure else None
 
 
 def _least(columns: Array, residual: Array) -> tuple[Array, Array]:
