@@ -12,13 +12,14 @@ from omnislip.gap.inference import Evidence, fit
 from omnislip.gap.judge import SURE_GAIN, WITHIN_LAW, Trial
 from omnislip.gap.machine import CURVE, Machine
 from omnislip.gap.noise import track_all
+from omnislip.gap.recordings import machine_for, make_run
 from omnislip.gap.refit import refit_each
 from omnislip.gap.screen import screen
 from omnislip.gap.settle import believed_hypothesis, settle
 from omnislip.gap.truth import TruthCase
 from omnislip.gap.truth_effects import HiddenEffect
 from omnislip.model_file import NOMINAL_ROBOT, read_model
-from truth_bench import robot_runs
+from truth_bench import logs_of, robot_runs
 
 
 @pytest.fixture(scope="module")
@@ -54,6 +55,36 @@ def test_a_delay_of_some_rows_is_found_in_a_loop_that_it_sets_swinging(tmp_path,
         assert further.fitted.hypothesis.values_of(0) == pytest.approx(0.0155, abs=quarter_row_s)
     else:
         assert further is None
+
+
+@pytest.mark.parametrize("limit_a", [1.0, None])
+def test_a_limit_is_found_where_logged_currents_end(limit_a):
+    """By noise that fits it; currents that nothing limits do not end."""
+    hidden = (HiddenEffect("current_limit", {"limit_a": limit_a}).as_dict(),) if limit_a else ()
+    sensors = ("gyro", "pose", "supply", "current")
+    case = TruthCase(
+        seed=8,
+        effects=hidden,
+        sensors=sensors,
+        excitation="rich",
+        runs=3,
+        run_duration_s=3.0,
+        base_offset_sd=0.0,
+    )
+    logs = logs_of(case)
+    robot = machine_for(read_model(NOMINAL_ROBOT), logs)
+    runs = [replace(make_run(robot, log), unit=log.name) for log in logs]
+    data, current = settle(robot, runs, believed_hypothesis(robot))
+    ahead = Ahead(data, current, robot.candidates_for(runs), 1, 100, silent)
+    further = ahead.clipped(None)
+    if limit_a is None:
+        assert further is None and robot.clipped_at_a(runs) is None
+        return
+    [found_a] = further.fitted.hypothesis.values_of(0)
+    assert found_a == pytest.approx(limit_a, rel=0.02)
+    assert [trial.candidate.effect for trial in ahead.trials] == ["current_limit"]
+    others = [c for c in robot.candidates() if c.effect != "current_limit"]
+    assert Ahead(data, current, others, 1, 100, silent).clipped(None) is None
 
 
 @pytest.mark.parametrize("angle_rad", [0.063, 0.0])

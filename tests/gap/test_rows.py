@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from omnislip.gap import inference, recordings
 from omnislip.gap.inference import Data
-from omnislip.gap.machine import Machine
-from omnislip.gap.noise import CURRENT, STEP_S, track_all, track_recordings, tune_noise
+from omnislip.gap.machine import CURRENT, Machine
+from omnislip.gap.noise import STEP_S, track_all, track_recordings, tune_noise
 from omnislip.gap.rows import (
     Projection,
     hidden_columns,

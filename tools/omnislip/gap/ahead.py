@@ -254,11 +254,7 @@ class Ahead:
         best = max(found, key=lambda one: one.likelihood)
         if best.likelihood < max(others) + SURE_GAIN / 2:
             return None
-        further = self._by_its_noise(best.model.effects[-1], best.model)
-        if further is None:
-            return None
-        self.trials.append(further.trial)
-        return further if further.trial.accepted else None
+        return self._if_it_passes(best.model)
 
     def clipped(self, accepted: Fit | None) -> Further | None:
         """Return the model with a limit of currents where logged ones end, if likelier than all.
@@ -278,11 +274,7 @@ class Ahead:
         own, *theirs = side_by_side(lambda one: _by_own_noise(data, one, few), [model, *others])
         if own < max(theirs) + SURE_GAIN / 2:
             return None
-        further = self._by_its_noise(candidate, model)
-        if further is None:
-            return None
-        self.trials.append(further.trial)
-        return further if further.trial.accepted else None
+        return self._if_it_passes(model)
 
     def _likeliest_play(self, candidate: Candidate, likeliest: _Likeliest, least: float) -> _Likely:
         """Return the likeliest model with play, from coarse sizes to finer ones.
@@ -418,6 +410,14 @@ class Ahead:
                 self._current.hypothesis.with_effect(candidate, np.clip(larger, low, high))
             )
         return max(offered, key=lambda one: self._likelihood(one, self._data.runs))
+
+    def _if_it_passes(self, model: Hypothesis) -> Further | None:
+        """Judge a model by the noise that fits its last effect; None where that does not pass."""
+        further = self._by_its_noise(model.effects[-1], model)
+        if further is None:
+            return None
+        self.trials.append(further.trial)
+        return further if further.trial.accepted else None
 
     def _by_its_noise(
         self, candidate: Candidate, start: Hypothesis, last: Array | None = None

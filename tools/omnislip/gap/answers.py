@@ -39,8 +39,8 @@ import numpy.typing as npt
 from scipy.linalg import orth
 
 from omnislip import _core
-from omnislip.gap.machine import Machine
-from omnislip.gap.noise import CURRENT, Noise, corrections, track_all
+from omnislip.gap.machine import CURRENT, Machine
+from omnislip.gap.noise import Noise, corrections, track_all
 from omnislip.gap.recordings import Run
 
 Array = npt.NDArray[np.float64]

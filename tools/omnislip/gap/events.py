@@ -238,10 +238,8 @@ def _impacts_in(
                 if begun:
                     row = int(np.searchsorted(run.t_s, begun.time_s + SPAN_S / 2.0))
                     impact = _size_up(machine, run, row, values, noise, filtered, begun.jump, 1)
-            jump_m_s = impact.jump_m_s(machine)
-            shown = explained[peak] >= EXPLAINED or jump_m_s >= HARD_M_S
-            least = max(LEAST_JUMP_M_S, _feigned_m_s(machine, run, row, values))
-            if shown and impact.confirmed and least <= jump_m_s <= MOST_JUMP_M_S:
+            least_m_s = LEAST_JUMP_M_S if explained[peak] >= EXPLAINED else HARD_M_S
+            if _tells(machine, run, row, impact, values, least_m_s):
                 impacts.append(impact)
     for one in known:
         # Along a better filter that knows of no hard push its linear response may point backwards.
@@ -251,9 +249,7 @@ def _impacts_in(
             continue
         row = int(np.searchsorted(run.t_s[:-2], one.time_s + SPAN_S / 2.0))
         impact = _size_up(machine, run, row, values, noise, filtered, one.jump, 1)
-        jump_m_s = impact.jump_m_s(machine)
-        least = max(HARD_M_S, _feigned_m_s(machine, run, row, values))
-        if impact.confirmed and least <= jump_m_s <= MOST_JUMP_M_S:
+        if _tells(machine, run, row, impact, values, HARD_M_S):
             impacts.append(impact)
     impacts = [
         one
@@ -271,6 +267,14 @@ def _impacts_in(
         elif _likelier(machine, run, other, one, values, noise, filtered):
             told[told.index(other)] = one
     return told
+
+
+def _tells(
+    machine: Machine, run: Run, row: int, impact: Impact, values: Array, least_m_s: float
+) -> bool:
+    """Whether an impact is confirmed, and larger than commands feign and than so many m/s."""
+    least_m_s = max(least_m_s, _feigned_m_s(machine, run, row, values))
+    return impact.confirmed and least_m_s <= impact.jump_m_s(machine) <= MOST_JUMP_M_S
 
 
 def _teeth_known_s(machine: Machine, run: Run, filtered: Array, values: Array) -> float:

@@ -260,7 +260,7 @@ def _passing(
     return sorted(found, key=lambda leftover: -leftover.gain)
 
 
-def _sizes(columns: Array, residual: Array) -> Array:
+def sizes_of(columns: Array, residual: Array) -> Array:
     """Sizes (k,) of what explains most of a residual (m,), by least squares."""
     return -np.linalg.pinv(columns.T @ columns, hermitian=True) @ (columns.T @ residual)
 
@@ -278,7 +278,7 @@ class _Judge:
     ) -> tuple[float, Leftover | None]:
         """Return the gain of terms of the same sizes in all runs, and the leftover if they pass."""
         residual = self.fitted.residual
-        sizes = _sizes(columns, residual)
+        sizes = sizes_of(columns, residual)
         change = columns @ sizes
         check = partial(check_columns, self.data, residual, columns)
         found = self._passing(name, change, len(sizes), simpler, 1, check)
@@ -291,7 +291,7 @@ class _Judge:
         parts = list(
             zip(self.data.per_run(columns), self.data.per_run(self.fitted.residual), strict=True)
         )
-        sizes = np.array([_sizes(own, left) for own, left in parts])
+        sizes = np.array([sizes_of(own, left) for own, left in parts])
         change = np.concatenate([own @ size for (own, _), size in zip(parts, sizes, strict=True)])
         own_name = (name[0], f"{name[1]}, with a phase of each run's own")
         spared = sizes.size - len(terms)
@@ -357,7 +357,7 @@ def _check_halves(runs: Sequence[tuple[Array, Array]]) -> Check:
     for both in runs:
         halves = list(zip(*(np.array_split(part, 2) for part in both), strict=True))
         for (own, left), (other, others_left) in (halves, halves[::-1]):
-            sizes = _sizes(other, others_left)
+            sizes = sizes_of(other, others_left)
             inverse = np.linalg.pinv(other.T @ other, hermitian=True)
             stake = float(np.sum((own @ sizes) ** 2))
             unsure = float(np.trace(inverse @ own.T @ own))
@@ -394,7 +394,7 @@ def _swings_looked_for(
         terms = [term for one in offered for term in swing_terms(*one)]
         free = responses(data, fitted, terms, tracks)
         pairs = np.split(free, len(offered), axis=1)
-        gains = [float(np.sum((pair @ _sizes(pair, fitted.residual)) ** 2)) for pair in pairs]
+        gains = [float(np.sum((pair @ sizes_of(pair, fitted.residual)) ** 2)) for pair in pairs]
         best = [
             max((k for k, one in enumerate(offered) if one[0] == kind), key=gains.__getitem__)
             for kind in FASTEST_HZ

@@ -84,7 +84,7 @@ CELL_SHARES = (15, 30, 45, 60, 75, 90)
 screen puts together to such places."""
 POSE_X, LEAST_POSES = 5, 50
 PLACES = 25
-CURRENT_LIMIT, CURRENTS, LIMITS_APART = "current_limit", slice(9, 13), 0.1
+CURRENT_LIMIT, CURRENT, LIMITS_APART = "current_limit", slice(9, 13), 0.1
 """Outputs that are currents; logarithm of the factor within which two limits are the same to start
 from."""
 CLIPPED, CLIPPED_ALIKE = (90.0, 99.0), 0.9
@@ -318,7 +318,8 @@ class Machine:
         limits = [start[0] for start in candidate.starts]
         nominal = SHAPE_GRIDS[CURRENT_LIMIT, "limit_a"]
         limits += [self._grip_current_ratio * limit for limit in nominal]
-        limits += [limit for limit in [self.clipped_at_a(runs)] if limit]
+        ends_a = self.clipped_at_a(runs)
+        limits += [ends_a] if ends_a else []
         apart = [
             limit
             for number, limit in enumerate(limits)
@@ -330,7 +331,7 @@ class Machine:
         """Return where logged currents end, if a tenth of them do."""
         if not self.electric:
             return None
-        shown = np.abs(np.concatenate([run.outputs[:, CURRENTS].ravel() for run in runs]))
+        shown = np.abs(np.concatenate([run.outputs[:, CURRENT].ravel() for run in runs]))
         if np.isnan(shown).all():
             return None
         some, most = np.nanpercentile(shown, CLIPPED)

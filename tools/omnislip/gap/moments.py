@@ -29,12 +29,13 @@ from scipy.ndimage import maximum_filter1d
 from omnislip import _core
 from omnislip.gap.events import COMMAND_JUMP, REPLAY_STEP_S, SPAN_ROWS, Jumps, peaks
 from omnislip.gap.machine import (
+    CURRENT,
     Machine,
     count_rad,
     no_load_speed_rad_s,
     stall_acceleration_rad_s2,
 )
-from omnislip.gap.noise import CURRENT, ENCODER, SHAFT, STAMP_S, Noise, run_free
+from omnislip.gap.noise import ENCODER, SHAFT, STAMP_S, Noise, run_free
 from omnislip.gap.recordings import LOST, Run
 from omnislip.gap.side_by_side import side_by_side
 

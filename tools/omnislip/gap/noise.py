@@ -20,6 +20,7 @@ import numpy.typing as npt
 from omnislip import _core
 from omnislip.errors import InputError
 from omnislip.gap.machine import (
+    CURRENT,
     Machine,
     count_rad,
     stall_acceleration_rad_s2,
@@ -31,7 +32,7 @@ Array = npt.NDArray[np.float64]
 
 SHAFT, ENCODER, BODY, YAW = slice(0, 4), slice(4, 8), slice(8, 10), 10
 DISTURBANCES = slice(-7, None)
-GYRO, POSE_XY, HEADING, SUPPLY, CURRENT = 4, slice(5, 7), 7, 8, slice(9, 13)
+GYRO, POSE_XY, HEADING, SUPPLY = 4, slice(5, 7), 7, 8
 COLOUR_RATE, CONTACT = 11, 12
 """Places of the disturbances' rate and of forces at contacts among the logarithms of a robot."""
 TUNING_TIME_S = 12.0

@@ -52,10 +52,9 @@ from threadpoolctl import threadpool_limits
 
 from omnislip import _core
 from omnislip.gap.answers import foreseen, lead_rows
-from omnislip.gap.machine import LESS_GRIP, Machine
+from omnislip.gap.machine import CURRENT, LESS_GRIP, Machine
 from omnislip.gap.noise import (
     BODY,
-    CURRENT,
     DISTURBANCES,
     ENCODER,
     SHAFT,

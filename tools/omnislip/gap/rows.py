@@ -39,8 +39,7 @@ import numpy as np
 import numpy.typing as npt
 
 from omnislip import _core
-from omnislip.gap.machine import Machine, stall_current_a
-from omnislip.gap.noise import CURRENT
+from omnislip.gap.machine import CURRENT, Machine, stall_current_a
 from omnislip.gap.recordings import Run
 
 Array = npt.NDArray[np.float64]

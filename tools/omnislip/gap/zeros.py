@@ -27,9 +27,11 @@ from scipy.stats import chi2
 
 from omnislip import _core
 from omnislip.gap.inference import Data, Hypothesis, fit, free_of_fitted, inflation_of
+from omnislip.gap.leftover import sizes_of
 from omnislip.gap.machine import PHASE, SHAPE_GRIDS, Machine, count_rad
 from omnislip.gap.noise import DISTURBANCES, SHAFT, Noise, RunawayError, track_all
 from omnislip.gap.recordings import Run
+from omnislip.gap.screen import half_turn
 from omnislip.gap.split import split_runs
 from omnislip.log_file import Log
 
@@ -223,7 +225,7 @@ def _zeros(
     if angle is None:
         return {}
     first = angle[0] if has_phase and not has_it else 0.0
-    by = np.mod(angle - first + np.pi, 2.0 * np.pi) - np.pi
+    by = np.array([half_turn(own) for own in angle - first])
     counts = np.zeros((len(names), 4), np.int64)
     own = [wheel - 1 for wheel in wave.wheels]
     counts[:, own] = np.round(by / per_count).reshape(len(names), -1)
@@ -254,5 +256,5 @@ def _phases(data: Data, each: Array, without: Array, has_phase: bool) -> Array |
 
 def _least(columns: Array, residual: Array) -> tuple[Array, Array]:
     """Return sizes (k,) of columns (m, k) that leave least of a residual (m,), and what they do."""
-    sizes = -np.linalg.pinv(columns.T @ columns, hermitian=True) @ (columns.T @ residual)
+    sizes = sizes_of(columns, residual)
     return sizes, residual + columns @ sizes
