@@ -51,6 +51,8 @@ class Log:
     columns: dict[str, Array]
     series: str = ""
     """Folder of the file: logs of one folder were taken under the same conditions."""
+    begun_at: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """x, y in m and heading in rad of a robot in the first row, where no camera sees it."""
 
     @property
     def row_s(self) -> float:

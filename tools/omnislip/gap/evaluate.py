@@ -36,8 +36,9 @@ from omnislip.gap.read_before import reading_machine
 from omnislip.gap.recordings import Run, machine_for, unused_columns
 from omnislip.gap.settle import believed_hypothesis
 from omnislip.gap.split import LEAST_ROWS, MOST_FITTED_S, too_still, usable_runs
+from omnislip.gap.starts import begun, find_starts
 from omnislip.gap.wiring import mend
-from omnislip.gap.words import HELD_COMMANDS, OTHER_ZEROS, READ_BEFORE
+from omnislip.gap.words import HELD_COMMANDS, OTHER_STARTS, OTHER_ZEROS, READ_BEFORE
 from omnislip.gap.zeros import find_zeros, moved
 from omnislip.log_file import Log, read_logs, without_copies
 from omnislip.model_file import read_model
@@ -98,10 +99,17 @@ def evaluate_model(
         machine = machine.of(model, jumps_with_rows=True)
         runs = taken_as(machine, runs)
         noise = tune_noise(machine, runs, machine.believed)
-    zeros = find_zeros(machine, checked.logs, cuts, noise, believed_hypothesis(machine))
+    believed, logs = believed_hypothesis(machine), checked.logs
+    zeros = find_zeros(machine, logs, cuts, noise, believed)
     if zeros:
-        runs = _all_runs(machine, [moved(log, zeros) for log in checked.logs], cuts)
+        logs = [moved(log, zeros) for log in logs]
         told.append(OTHER_ZEROS)
+    starts = find_starts(machine, logs, cuts, noise, believed)
+    if starts:
+        logs = [begun(log, starts) for log in logs]
+        told.append(OTHER_STARTS)
+    if zeros or starts:
+        runs = _all_runs(machine, logs, cuts)
     noise = judging_noise(machine, runs, machine.believed, noise)
     progress("replaying")
     table = gap_table(replay_all(machine, runs, noise, [machine.believed] * 3))

@@ -53,6 +53,7 @@ from omnislip.gap.split import (
     too_little,
     usable_runs,
 )
+from omnislip.gap.starts import Pose, begun, find_starts
 from omnislip.gap.unknown import describe_unknown
 from omnislip.gap.verdict import (
     FAR_EXCESS,
@@ -70,6 +71,7 @@ from omnislip.gap.words import (
     BLIND,
     FEW_RUNS,
     HELD_COMMANDS,
+    OTHER_STARTS,
     OTHER_ZEROS,
     READ_BEFORE,
     advice,
@@ -119,11 +121,20 @@ class _Recorded:
     zeros: dict[str, Counts] | None = None
     """By how much counts were moved, for encoders count from elsewhere; None before that is asked.
     """
+    starts: dict[str, Pose] = field(default_factory=dict)
+    """Where logs begin that no camera sees, as what is fixed to the world tells."""
 
     @property
     def words(self) -> list[str]:
         """What they told, in sentences."""
-        return [*self.told, *([OTHER_ZEROS] if self.zeros else [])]
+        zeros, starts = [OTHER_ZEROS] * bool(self.zeros), [OTHER_STARTS] * bool(self.starts)
+        return [*self.told, *zeros, *starts]
+
+    def begin(self, starts: dict[str, Pose]) -> bool:
+        """Take the logs as beginning where they were found to; return whether any were."""
+        self.starts |= starts
+        self.logs = [begun(log, starts) for log in self.logs]
+        return bool(starts)
 
 
 @dataclass(frozen=True)
@@ -261,6 +272,8 @@ def _search(recorded: _Recorded, progress: Progress, found: Found | None = None)
     if recorded.zeros is None:
         recorded.zeros = find_zeros(machine, logs, cuts, noise, first)
         recorded.logs = logs = [moved(log, recorded.zeros) for log in logs]
+    if recorded.begin(find_starts(machine, logs, cuts, noise, first)):
+        logs = recorded.logs
     runs, impacts = _pushes_beside(machine, logs, cuts, first, noise)
     least = 0
     left, turns = MOST_AGAIN, MOST_TURNS
@@ -285,6 +298,14 @@ def _search(recorded: _Recorded, progress: Progress, found: Found | None = None)
             runs, impacts = _pushes_beside(machine, logs, cuts, *beside)
             continue
         found = outcome.found
+        if left and recorded.begin(
+            find_starts(machine, logs, pushes, outcome.data.noise, outcome.final.hypothesis)
+        ):
+            progress("again with logs that begin elsewhere")
+            logs, left = recorded.logs, left - 1
+            runs, impacts = _pushes_beside(machine, logs, cuts, found.model, found.noise)
+            found = replace(found, mistaken=True)  # what was named may stand for a direction
+            continue
         progress("looking for impacts with the final model")
         confirmed = _pushes_by(machine, logs, runs, outcome, impacts)
         cut_out = [new for new in confirmed if any(new.near(old) for old in impacts)]

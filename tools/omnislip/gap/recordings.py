@@ -184,6 +184,8 @@ def make_run(machine: Machine, log: Log, begin: int = 0, end: int | None = None)
         else:
             rim_m_s = _rim_speeds(machine, t_s, outputs, FIRST_ROWS)
         state, seen = _first_state(machine, t_s, outputs, rim_m_s)
+        if not sees_pose(log):
+            state[11:14] = reckoned_pose(machine, log, begin)
         settle_s = _core.SETTLE_S if begins or seen else UNSEEN_SETTLE_S
         t_s, command, outputs, jumped = parted_at_jumps(t_s, command, outputs)
         channels: tuple[str, ...] = robot_channels(machine)
@@ -220,6 +222,31 @@ def make_run(machine: Machine, log: Log, begin: int = 0, end: int | None = None)
         reads_before=machine.reads_before,
     )
     return run.taken_as(machine) if machine.kind == "robot" else run
+
+
+def sees_pose(log: Log) -> bool:
+    """Whether a camera shows a robot anywhere in a log."""
+    return any(np.isfinite(log.columns[name]).any() for name in POSE_COLUMNS if name in log.columns)
+
+
+def reckoned_pose(machine: Machine, log: Log, row: int) -> Array:
+    """Return the pose (3,) in a row by dead reckoning from where the log begins.
+
+    Where it has turned by gyro, if there is one, how far it has gone by its wheels: a floor that
+    slopes pulls a later piece of the log from where it pulled the first.
+    """
+    turned_rad = np.diff(
+        [unwrap_counts(log.columns[name])[: row + 1] for name in ROBOT_CHANNELS[:4]]
+    ) * count_rad(machine)
+    inverse = np.linalg.pinv(wheel_jacobian(machine)) * rim_m_per_rad(machine)
+    forward, left, turn = np.nan_to_num(inverse @ turned_rad)
+    gyro = log.columns.get(ROBOT_CHANNELS[4], np.full(len(log.t_s), np.nan))[: row + 1]
+    by_gyro = 0.5 * (gyro[1:] + gyro[:-1]) * np.diff(log.t_s[: row + 1])
+    turn = np.where(np.isnan(by_gyro), turn, by_gyro)
+    x_m, y_m, begun_rad = log.begun_at
+    heading = begun_rad + np.append(0.0, np.cumsum(turn))
+    way = np.sum((forward + 1j * left) * np.exp(1j * (heading[:-1] + 0.5 * turn)))
+    return np.array([x_m + way.real, y_m + way.imag, heading[-1]])
 
 
 def first_pose(log: Log, begin: int, end: int) -> int:

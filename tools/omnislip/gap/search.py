@@ -82,7 +82,8 @@ class Found:
     """As `Outcome` has them."""
     trials: tuple[Trial, ...]
     mistaken: bool = False
-    """Whether the runs were taken for those of another machine: then a name may be another's."""
+    """Whether the runs were taken for those of another machine, or for others: then a name may be
+    another's."""
     elsewhere: bool = False
     """Whether other logs were fitted."""
 

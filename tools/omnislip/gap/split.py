@@ -160,6 +160,14 @@ def split_runs(
     return Split(fitting, held_out, how, thinned)
 
 
+def all_runs(
+    machine: Machine, logs: Sequence[Log], pushes: Sequence[tuple[str, float]]
+) -> list[Run]:
+    """Return the runs that are fitted and those that are held out."""
+    split = split_runs(machine, logs, pushes)
+    return [*split.fitting, *split.held_out]
+
+
 def _liveliest(parts: Sequence[Part], most_s: float) -> list[Part]:
     """Return the parts, or stretches of them of some `most_s` together.
 

@@ -41,6 +41,10 @@ OTHER_ZEROS = (
     "encoders: count from elsewhere in each log or at each wheel, as what repeats with their angle "
     "tells; taken as if they did not"
 )
+OTHER_STARTS = (
+    "no camera: where and which way a log begins is taken as what is fixed to the world tells; its "
+    "directions and places are those of the first log, or of logs that a camera sees"
+)
 READ_BEFORE = "currents and voltage: taken as read before the duty of their row began"
 WEAK_SHARE = 1e-2
 """Square of how far the other effects may be off what they do before they leave as much as a name

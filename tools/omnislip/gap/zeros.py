@@ -32,7 +32,7 @@ from omnislip.gap.machine import PHASE, SHAPE_GRIDS, Machine, count_rad
 from omnislip.gap.noise import DISTURBANCES, SHAFT, Noise, RunawayError, track_all
 from omnislip.gap.recordings import Run
 from omnislip.gap.screen import half_turn
-from omnislip.gap.split import split_runs
+from omnislip.gap.split import all_runs
 from omnislip.log_file import Log
 
 Array = npt.NDArray[np.float64]
@@ -48,6 +48,10 @@ ALL_OF_IT, LEAST_OFF = 0.9, 0.03
 """Share of what amplitudes of each log and wheel explain that one must, zeros being all that
 differs; and of this what zeros that are the same must leave: those that are off by a sixth of a
 radian of what repeats. (By 0.06 they seemed to be where grip was off, too.)"""
+ANGLES = np.linspace(-np.pi, np.pi, 720, endpoint=False)
+ROUND = np.stack([np.cos(ANGLES), np.sin(ANGLES)], axis=1)
+MOST_SWEEPS = 50
+"""Phases that are tried, to half a degree, and how often each."""
 WAVES, P_VALUE = 60, 1e-6
 """What is asked for, and chance that zeros which are the same do so much worse."""
 
@@ -78,7 +82,7 @@ def find_zeros(
     """
     if machine.kind != "robot":
         return {}
-    runs = _runs(machine, logs, pushes)
+    runs = all_runs(machine, logs, pushes)
     try:
         tracks = track_all(machine, runs, model.flat(machine.believed), noise)
         wave = _strongest(machine, runs, tracks)
@@ -95,11 +99,6 @@ def moved(log: Log, zeros: Mapping[str, Counts]) -> Log:
     for wheel, counts in enumerate(zeros[log.name], start=1):
         columns[f"wheel/{wheel}/encoder_counts"] = columns[f"wheel/{wheel}/encoder_counts"] + counts
     return replace(log, columns=columns)
-
-
-def _runs(machine: Machine, logs: Sequence[Log], pushes: Sequence[tuple[str, float]]) -> list[Run]:
-    split = split_runs(machine, logs, pushes)
-    return [*split.fitting, *split.held_out]
 
 
 def _strongest(
@@ -207,7 +206,7 @@ def _zeros(
         """Residuals with the wave, the encoder of a wheel counting from elsewhere."""
         by = np.where(np.arange(1, 5) == wheel, counts, 0)
         elsewhere = [moved(log, {log.name: by}) for log in logs]
-        [residual] = data.shown_as(_runs(machine, elsewhere, pushes)).residuals(with_it[None])
+        [residual] = data.shown_as(all_runs(machine, elsewhere, pushes)).residuals(with_it[None])
         return residual
 
     here = shown(1, 0)
@@ -221,9 +220,10 @@ def _zeros(
         columns[np.arange(len(owner)), owner, place] = np.stack([sine, quarter_on + sine], axis=1)
     each = free_of_fitted(fitted, columns.reshape(len(owner), -1)).reshape(len(owner), -1, 2)
     without = fitted.residual - has_it * each[..., 0].sum(axis=1)
-    angle = _phases(data, each, without, has_phase)
-    if angle is None:
+    found = phases(data, each, without, has_phase, ALL_OF_IT, WAVES)
+    if found is None:
         return {}
+    angle, _ = found
     first = angle[0] if has_phase and not has_it else 0.0
     by = np.array([half_turn(own) for own in angle - first])
     counts = np.zeros((len(names), 4), np.int64)
@@ -232,29 +232,72 @@ def _zeros(
     return dict(zip(names, counts, strict=True))
 
 
-def _phases(data: Data, each: Array, without: Array, has_phase: bool) -> Array | None:
-    """Return the phase (places,) of a wave in each log at each wheel; None if one may serve all.
+def phases(
+    data: Data,
+    each: Array,
+    without: Array,
+    any_phase: bool,
+    share: float,
+    tried: int,
+    least_off: float = LEAST_OFF,
+) -> tuple[Array, float] | None:
+    """Return the phase (places,) of a wave in each place and what it explains so; None if one does.
 
     `each` (m, places, 2) are its sine and cosine there, `without` (m,) the residuals without it. An
-    effect that `has_phase` explains any one phase, another only that of zero.
+    effect that may have `any_phase` explains any one for all, another only that of zero. One
+    amplitude has to explain a `share` of what one of each place's own does, phases that are the
+    same must leave `least_off` of it, and of so many that are `tried` none may be chance.
     """
-    sizes, left_by_each = _least(each.reshape(len(without), -1), without)
-    angle = np.arctan2(*sizes.reshape(-1, 2)[:, ::-1].T)
+    sizes, left_by_each = least_of(each.reshape(len(without), -1), without)
+    angle = _of_one_amplitude(each, without, np.arctan2(*sizes.reshape(-1, 2)[:, ::-1].T))
     turned = each[..., 0] @ np.cos(angle) + each[..., 1] @ np.sin(angle)
-    _, left_by_one = _least(turned[:, None], without)
-    _, left_by_same = _least(each.sum(axis=1)[:, : 2 if has_phase else 1], without)
-    whole, of_each, of_one, of_same = (
-        float(left @ left) for left in (without, left_by_each, left_by_one, left_by_same)
-    )
-    gain, change = of_same - of_one, left_by_one - left_by_same
-    inflation = inflation_of(data, change[:, None], left_by_one, np.array([[change @ change]]))
-    chance = float(chi2.sf(gain / inflation, len(angle) - 1)) * WAVES
-    one_serves = whole - of_one >= ALL_OF_IT * (whole - of_each)
-    sure = chance < P_VALUE and gain >= LEAST_OFF * (whole - of_one)
-    return angle if one_serves and sure else None
+    _, left_by_one = least_of(turned[:, None], without)
+    _, left_by_same = least_of(each.sum(axis=1)[:, : 2 if any_phase else 1], without)
+    whole, of_each, of_one = (float(left @ left) for left in (without, left_by_each, left_by_one))
+    if whole - of_one < share * (whole - of_each):
+        return None
+    gain = sure_gain(data, left_by_one, left_by_same, len(angle) - any_phase, tried)
+    sure = gain > 0.0 and gain >= least_off * (whole - of_one)
+    return (angle, whole - of_one) if sure else None
 
 
-def _least(columns: Array, residual: Array) -> tuple[Array, Array]:
+def _of_one_amplitude(each: Array, without: Array, angle: Array) -> Array:
+    """Return the phases (places,) by which one amplitude explains most, from some near those.
+
+    Phase by phase. (A log that hardly tells one of its two sizes has them at any angle.)
+    """
+    columns = each.reshape(len(without), -1)
+    gram = (columns.T @ columns).reshape(len(angle), 2, len(angle), 2)
+    pull = (columns.T @ without).reshape(-1, 2)
+    for _ in range(MOST_SWEEPS):
+        before = angle
+        for place in range(len(angle)):
+            now = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+            square = np.einsum("pi,piqj,qj", now, gram, now)
+            amplitude = -np.sum(pull * now) / max(float(square), 1e-300)
+            now[place] = 0.0
+            own = pull[place] + amplitude * np.einsum("ipj,pj->i", gram[place], now)
+            costs = amplitude * np.einsum("ai,ij,aj->a", ROUND, gram[place, :, place], ROUND)
+            costs = amplitude * (costs + 2.0 * ROUND @ own)
+            angle = np.where(np.arange(len(angle)) == place, ANGLES[np.argmin(costs)], angle)
+        if np.array_equal(angle, before):
+            break
+    return angle
+
+
+def sure_gain(data: Data, left: Array, left_by_same: Array, freedom: int, tried: int) -> float:
+    """Return by how much residuals (m,) are less than others by so many sizes more.
+
+    0 if that may be chance.
+    """
+    gain = float(left_by_same @ left_by_same - left @ left)
+    change = left - left_by_same
+    inflation = inflation_of(data, change[:, None], left, np.array([[change @ change]]))
+    chance = float(chi2.sf(gain / inflation, freedom)) * tried
+    return gain if chance < P_VALUE else 0.0
+
+
+def least_of(columns: Array, residual: Array) -> tuple[Array, Array]:
     """Return sizes (k,) of columns (m, k) that leave least of a residual (m,), and what they do."""
     sizes = sizes_of(columns, residual)
     return sizes, residual + columns @ sizes
