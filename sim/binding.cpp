@@ -109,6 +109,12 @@ nb::list effects() {
         if (info.kinds & kOdometry)
             kinds.append("odometry");
         entry["kinds"] = kinds;
+        nb::list goes_with;
+        if (info.hooks & kByAngle)
+            goes_with.append("angle");
+        if (info.hooks & kByPlace)
+            goes_with.append("place");
+        entry["goes_with"] = goes_with;
         entry["parameters"] = parameter_list(info);
         catalogue.append(entry);
     });

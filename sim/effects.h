@@ -63,9 +63,11 @@ enum Hook : unsigned {
     kBody = 1u << 6,
     kSensor = 1u << 7,
     kMotion = 1u << 8,
-    /* Marks of effects: what shaft angles move; of sensors, what encoders show of speeds. */
+    /* Marks of effects: what shaft angles move, what goes with where a robot is or which way it is
+     * turned; of sensors, what encoders show of speeds. */
     kByAngle = 1u << 9,
     kCounts = 1u << 10,
+    kByPlace = 1u << 11,
 };
 
 struct EffectInfo {
@@ -1026,7 +1028,7 @@ struct CarpetAnisotropy : Effect {
         "nap of the carpet",
         Scope::kWhole,
         kRobot,
-        kContact,
+        kContact | kByPlace,
         2,
         {{"cos2", "1", 0.0, -0.8, 0.8, 0.12}, {"sin2", "1", 0.0, -0.8, 0.8, 0.12}}};
     template <class S, int N>
@@ -1049,7 +1051,7 @@ struct SlipperyPatch : Effect {
         "spill, tape",
         Scope::kWhole,
         kRobot,
-        kContact,
+        kContact | kByPlace,
         5,
         {{"x_min_m", "m", -kUnbounded, -kUnbounded, kUnbounded, 0.0},
          {"x_max_m", "m", kUnbounded, -kUnbounded, kUnbounded, 0.0},
@@ -1229,7 +1231,7 @@ struct FloorSlope : Effect {
         "tilt",
         Scope::kWhole,
         kRobot,
-        kBody,
+        kBody | kByPlace,
         2,
         {{"x_m_s2", "m/s^2", 0.0, -3.0, 3.0, 0.1}, {"y_m_s2", "m/s^2", 0.0, -3.0, 3.0, 0.1}}};
     template <class S, int N>
@@ -1286,7 +1288,7 @@ struct TetherSpring : Effect {
                                         "cable, elastic",
                                         Scope::kWhole,
                                         kRobot,
-                                        kBody,
+                                        kBody | kByPlace,
                                         3,
                                         {{"stiffness_n_m", "N/m", 0.0, 0.0, 100.0, 2.0},
                                          {"x_m", "m", 0.0, -20.0, 20.0, 0.0},

@@ -10,7 +10,7 @@ from omnislip.gap import answers, inference
 from omnislip.gap.answers import Foreseen, News, news_of
 from omnislip.gap.inference import Data
 from omnislip.gap.machine import Machine
-from omnislip.gap.noise import track_all, tune_noise
+from omnislip.gap.noise import RunawayError, track_all, tune_noise
 from omnislip.gap.settle import believed_hypothesis
 from omnislip.gap.truth import TruthCase
 from omnislip.gap.truth_effects import HiddenEffect, typical_effect
@@ -40,6 +40,16 @@ def news_in(machine, runs, noise):
 
 
 # ---- which loops are closed ----
+
+
+@pytest.mark.parametrize("bound", [1e200, np.inf, np.nan])
+def test_a_robot_that_would_go_on_without_bounds_is_told(monkeypatch, bound):
+    """A filter may hold a wrong model to its log that loses it within the time of an answer."""
+    machine, runs, noise = runs_and_noise(seed=5, runs=2, run_duration_s=2.0)
+    known = answers.foreseen
+    monkeypatch.setattr(answers, "foreseen", lambda run, track: known(run, track) * bound)
+    with pytest.raises(RunawayError, match="grows without bounds"):
+        news_in(machine, runs, noise)
 
 
 @pytest.mark.parametrize("excitation", ["rich", "ordinary"])

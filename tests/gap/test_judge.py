@@ -7,10 +7,12 @@ import pytest
 from omnislip.gap import judge
 from omnislip.gap.inference import fit, spread_over_runs, weigh
 from omnislip.gap.judge import within_law
+from omnislip.gap.machine import Machine
 from omnislip.gap.refit import extend_effects
 from omnislip.gap.settle import believed_hypothesis, settle
 from omnislip.gap.truth import TruthCase
 from omnislip.gap.truth_effects import HiddenEffect
+from omnislip.model_file import NOMINAL_ROBOT, read_model
 from scipy.stats import chi2
 from truth_bench import robot_runs
 
@@ -125,11 +127,16 @@ def test_a_slope_that_no_law_has_is_told_beside_another_curve(tmp_path, monkeypa
         ("cogging", "current_limit", True),
         ("roller_ripple", "wheel_eccentricity", False),
         ("coulomb_friction", "current_limit", False),
+        ("tether_spring", "driver_nonlinearity", True),
+        ("floor_slope", "roller_ripple", True),
+        ("carpet_anisotropy", "slippery_patch", False),
+        ("driver_nonlinearity", "tether_spring", False),
     ],
 )
-def test_shapes_of_what_does_not_turn_know_nothing_of_what_repeats_with_an_angle(
+def test_shapes_know_nothing_of_angles_or_places_that_the_effect_does_not_go_with(
     monkeypatch, name, other, unrelated
 ):
+    data = SimpleNamespace(machine=Machine(read_model(NOMINAL_ROBOT)))
     own, beside = SimpleNamespace(effect=name), SimpleNamespace(effect=other)
     fitted = SimpleNamespace(
         hypothesis=SimpleNamespace(effects=(beside, own)), residual=np.zeros(2)
@@ -142,7 +149,7 @@ def test_shapes_of_what_does_not_turn_know_nothing_of_what_repeats_with_an_angle
             [(share_of(effect), known(effect)) for effect in (beside, own)]
         ),
     )
-    judge.left_by_others(None, SimpleNamespace(residual=np.ones(2)), fitted, 1)
+    judge.left_by_others(data, SimpleNamespace(residual=np.ones(2)), fitted, 1)
     assert asked == [[(1.0, unrelated), (0.0, False)]]
 
 

@@ -90,6 +90,31 @@ def test_description_is_complete_and_its_bounds_are_in_order(name):
         assert parameter["low"] <= size(parameter) <= parameter["high"]
 
 
+def moved_differently(name):
+    """What of a robot's start changes how it moves with an effect: shaft angles, or its pose."""
+    rng = np.random.default_rng(11)
+    command = np.repeat(rng.uniform(-0.8, 0.8, (30, 4)), 10, axis=0)
+    time = np.arange(len(command)) * 0.01
+    effects = [(name, p["name"], size(p)) for p in CATALOGUE[name]["parameters"]]
+    if name == "slippery_patch":
+        effects = [(name, "x_min_m", -0.2), (name, "x_max_m", 0.2), (name, "scale", 0.5)]
+    model = [parameter_set("robot", BASE["robot"], effects)]
+    begun = {"": np.zeros(14), "angle": np.zeros(14), "place": np.zeros(14)}
+    begun["angle"][4:8] = 1.0, 2.0, 3.0, 4.0
+    begun["place"][11:14] = 0.3, -0.2, 0.7
+    moved = {}
+    for what, initial in begun.items():
+        [outputs] = simulate(model, time, command, initial, "robot")
+        moved[what] = np.hstack([outputs[:, :4] - outputs[0, :4], outputs[:, 4:5]])
+    same = moved.pop("")
+    return [what for what, own in moved.items() if not np.allclose(own, same, rtol=1e-6, atol=1e-6)]
+
+
+@pytest.mark.parametrize("name", cases("robot"))
+def test_what_an_effect_goes_with_is_what_it_says(name):
+    assert moved_differently(name) == CATALOGUE[name]["goes_with"]
+
+
 def test_names_are_unique():
     assert len(CATALOGUE) == len(_core.effects())
     for kind in ("robot", "axis", "odometry"):

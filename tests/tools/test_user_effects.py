@@ -59,6 +59,19 @@ def test_shaping_parameters_start_where_the_user_says():
 
 
 @pytest.mark.parametrize(
+    ("adds_to", "expression", "goes_with"),
+    [
+        ("shaft_torque_nm", "-a * W * b", []),
+        ("shaft_torque_nm", "-a * sin(b * th_m)", ["angle"]),
+        ("mu_drive", "a * th_m * cos(b * theta)", ["angle", "place"]),
+        ("body_force_x_n", "a * b * x", ["place"]),
+    ],
+)
+def test_an_effect_goes_with_what_it_names(adds_to, expression, goes_with):
+    assert read(adds_to=adds_to, expression=expression)["goes_with"] == goes_with
+
+
+@pytest.mark.parametrize(
     "wheels, names",
     [
         ("all", ["own"]),

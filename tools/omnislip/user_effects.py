@@ -39,6 +39,8 @@ from omnislip.errors import InputError
 from omnislip.files import check_known, check_number, check_table, load_toml, nearest
 
 MOTION = ("t", "vx", "vy", "w", "x", "y", "theta")
+GOES_WITH = {"angle": {"th_m"}, "place": {"x", "y", "theta"}}
+"""What an effect may go with, as the catalogue says, by what it names."""
 
 
 @dataclass(frozen=True)
@@ -144,6 +146,7 @@ def _read_entry(name: str, table: object, kind: str, path: Path) -> dict[str, An
     program = _Compiler(table["adds_to"], parameters, where, path).compile(tree)
     _check_sizes(tree, target, parameters, where, path)
     equation = f"{table['adds_to']} += {expression}"
+    named = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
     return {
         "name": name,
         "summary": _text(table.get("summary", equation), f"{where}.summary", path),
@@ -153,6 +156,7 @@ def _read_entry(name: str, table: object, kind: str, path: Path) -> dict[str, An
         "scope": _read_scope(table.get("wheels"), target, where, path),
         "per_wheel": target.per_motor,
         "kinds": list(target.kinds),
+        "goes_with": [what for what, names in GOES_WITH.items() if named & names],
         "parameters": parameters,
         "adds_to": table["adds_to"],
         "program": program,

@@ -40,7 +40,7 @@ from scipy.linalg import orth
 
 from omnislip import _core
 from omnislip.gap.machine import CURRENT, Machine
-from omnislip.gap.noise import Noise, corrections, track_all
+from omnislip.gap.noise import Noise, corrections, require_finite, track_all
 from omnislip.gap.recordings import Run
 
 Array = npt.NDArray[np.float64]
@@ -183,7 +183,8 @@ def foreseen(run: Run, track: _core.Track) -> Array:
 def news_of(machine: Machine, runs: Sequence[Run], tracks: Sequence[_core.Track]) -> News:
     """Return what is new in the commands; runs whose rows are as long are asked together.
 
-    `tracks` keep their matrices. Nothing of machines other than robots.
+    `tracks` keep their matrices. Nothing of machines other than robots. RunawayError for a model by
+    which a robot would go on without bounds.
     """
     if machine.kind != "robot":
         return News([], 0.0, True)
@@ -270,7 +271,11 @@ def _share_answered(logged: Sequence[tuple[Run, _core.Track]]) -> float:
         commanded.append(commands.reshape(past, -1).T)
         told.append(innovations.reshape(SHORT_PAST, -1).T)
         now.append(run.logged_command[past:].ravel())
-        motion.append(_motion(foreseen(run, track)[run.log_rows][past:]))
+        states = foreseen(run, track)[run.log_rows][past:]
+        with np.errstate(over="ignore"):
+            squares = np.square(np.hstack([states, told[-1].reshape(len(states), -1)]))
+        require_finite(run, squares)
+        motion.append(_motion(states))
         behind.append(np.repeat(_behind_jumps(run, past)[past:], run.command.shape[1]))
     x, told, y, motion = (np.concatenate(each) for each in (commanded, told, now, motion))
     step = np.abs(y - x[:, 0])

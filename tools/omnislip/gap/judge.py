@@ -52,8 +52,6 @@ stand for one of them beside another curve."""
 FRICTION_OVER_SLIP = (CURVE, *CURVES)
 LAW_ENTERS = (*FRICTION_OVER_SLIP, "bristle_relaxation")
 """Also what takes a part of what friction is off its law: bristles hold what friction allows."""
-TURNING = ("cogging", "roller_ripple", "wheel_eccentricity")
-"""What repeats with an angle, of which the shape of no other effect knows."""
 TOO_SHORT = "shorter than the log can time: an eighth of a row"
 LITTLE_CURVED = 0.1
 """Share of every other law to start a free curve from."""
@@ -193,7 +191,16 @@ def _verdict(data: Data, evidence: Evidence, chance: float, check: Check) -> tup
 
 
 def left_by_others(data: Data, without: Fit, fitted: Fit, index: int) -> float:
-    """Gain of effect `index` that the others would leave if off by all that they do."""
+    """Gain of effect `index` that the others would leave if off by all that they do.
+
+    Of what repeats with an angle, or goes with a place or direction in the world, the shape of an
+    effect knows nothing that does not.
+    """
+    catalogue = data.machine.catalogue
+
+    def goes_with(effect: Candidate) -> set[str]:
+        return set(catalogue[effect.effect]["goes_with"])
+
     own = fitted.hypothesis.effects[index]
     change = without.residual - fitted.residual
     return left_by_shapes(
@@ -202,7 +209,7 @@ def left_by_others(data: Data, without: Fit, fitted: Fit, index: int) -> float:
         change,
         without.residual,
         lambda effect: 0.0 if effect is own else 1.0,
-        lambda effect: own.effect in TURNING and effect.effect not in TURNING,
+        lambda effect: bool(goes_with(own) - goes_with(effect)),
     )
 
 

@@ -135,11 +135,16 @@ def corrections(track: _core.Track) -> Array:
 def require_following(runs: Sequence[Run], tracks: Sequence[_core.Track]) -> None:
     """Raise RunawayError if a filter has diverged."""
     for run, track in zip(runs, tracks, strict=True):
-        if not np.isfinite(track.log_likelihood):
-            raise RunawayError(
-                f"{run.name}: the model does not follow this log, its motion grows without bounds; "
-                "check masses, inertias and effects of the model file"
-            )
+        require_finite(run, np.array(track.log_likelihood))
+
+
+def require_finite(run: Run, values: Array) -> None:
+    """Raise RunawayError if what a model says of a run has grown without bounds."""
+    if not np.isfinite(values).all():
+        raise RunawayError(
+            f"{run.name}: the model does not follow this log, its motion grows without bounds; "
+            "check masses, inertias and effects of the model file"
+        )
 
 
 def track_recordings(
