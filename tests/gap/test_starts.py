@@ -90,6 +90,25 @@ def test_a_spring_tells_where_logs_begin():
     assert starts_of([begun(log, starts) for log in logs]) == {}
 
 
+def test_starts_that_are_a_bit_off_are_moved_on_by_a_model_that_has_the_effect():
+    """A first model that lacks other effects, too, tells them less well."""
+    true = begun_poses(SLOPE.name)[:, 2]
+    off = np.array([0.0, 0.4, -0.4, 0.2])
+    logs = [
+        replace(log, begun_at=(0.0, 0.0, float(heading)))
+        for log, heading in zip(unseen(seen(SLOPE.name)), true - true[0] + off, strict=True)
+    ]
+    robot = machine_for(read_model(NOMINAL_ROBOT), logs)
+    machine, noise, first = first_models(robot, split_runs(robot, logs).fitting)
+    [slope] = [c for c in machine.candidates() if c.effect == SLOPE.name]
+    model = first.with_effect(slope, [0.2, 0.1])
+    moved = find_starts(machine, logs, [], noise, model)
+    assert off_rad(headings(logs, moved), true - true[0], 1).max() < 0.1
+    assert find_starts(machine, logs, [], noise, first) == {}  # which knows nothing of it
+    there = [begun(log, moved) for log in logs]
+    assert find_starts(machine, there, [], noise, model) == {}
+
+
 @pytest.mark.parametrize("effect", [SLOPE, CARPET], ids=lambda one: one.name)
 def test_logs_with_a_camera_are_the_frame_of_the_others(effect):
     logs = seen(effect.name)

@@ -298,13 +298,13 @@ def _search(recorded: _Recorded, progress: Progress, found: Found | None = None)
             runs, impacts = _pushes_beside(machine, logs, cuts, *beside)
             continue
         found = outcome.found
-        if left and recorded.begin(
-            find_starts(machine, logs, pushes, outcome.data.noise, outcome.final.hypothesis)
-        ):
+        moved_on = bool(recorded.starts)
+        if left and recorded.begin(find_starts(machine, logs, pushes, found.noise, found.model)):
             progress("again with logs that begin elsewhere")
             logs, left = recorded.logs, left - 1
             runs, impacts = _pushes_beside(machine, logs, cuts, found.model, found.noise)
-            found = replace(found, mistaken=True)  # what was named may stand for a direction
+            if not moved_on:  # what was named may stand for a direction that was none of all logs
+                found = replace(found, mistaken=True)
             continue
         progress("looking for impacts with the final model")
         confirmed = _pushes_by(machine, logs, runs, outcome, impacts)

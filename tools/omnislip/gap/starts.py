@@ -17,7 +17,7 @@ Nothing says where north is: the first log begins at x = y = heading = 0, or the
 of those that a camera sees.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -43,8 +43,8 @@ TETHER, STIFFNESS, PLACE = "tether_spring", "stiffness_n_m", ("x_m", "y_m")
 SHARE, TRIED, ROUNDS = 0.85, 3, 8
 """Of what sizes of each log's own explain, what one for all must; how often starts are moved at
 most."""
-LIKELIER = 5.0
-"""Log-likelihood that it takes to move them again."""
+LIKELIER, SURELY_LIKELIER = 5.0, 20.0
+"""Log-likelihood that it takes to move them on, and to begin with that anew."""
 STIFFER = 1.1
 """Factor by which to see what a stiffer tether does."""
 
@@ -68,36 +68,49 @@ def find_starts(
 ) -> dict[str, Pose]:
     """Return where each log begins that no camera sees; nothing if none surely begins elsewhere.
 
-    `pushes` (run, time) cut the logs, `model` is one that is near enough to follow them.
+    `pushes` (run, time) cut the logs, `model` is one that is near enough to follow them. Where logs
+    begin elsewhere already they are moved on by what of the model tells more of it, if surely.
     """
     unseen = [log.name for log in logs if not sees_pose(log)]
     starts: dict[str, Pose] = {}
-    if machine.kind != "robot" or not unseen:
+    asked = {*DIRECTED, TETHER}
+    known = any(any(log.begun_at) for log in logs)
+    if known:
+        asked &= {effect.effect for effect in model.effects}
+    if machine.kind != "robot" or not unseen or not asked:
         return starts
 
-    def ask(data: Data, fitted: Fit, tried: int) -> _Found | None:
+    def ask(data: Data, fitted: Fit, effects: Collection[str], tried: int) -> _Found | None:
         there = [begun(log, starts) for log in logs if log.name in unseen]
-        return _Starts(data, fitted, there, len(there) < len(logs), tried).best()
+        return _Starts(data, fitted, there, len(there) < len(logs), tried).best(effects)
 
     try:
-        data = Data(machine, all_runs(machine, logs, pushes), noise, model)
-        fitted = fit(data, model)
-        found = ask(data, fitted, TRIED)
-        likeliest = -np.inf
+        runs = all_runs(machine, logs, pushes)
+        if known:
+            data, fitted = settle(machine, runs, model, noise, FEW_TUNINGS)
+            likeliest = _likelihood(data) + SURELY_LIKELIER
+        else:
+            data = Data(machine, runs, noise, model)
+            fitted, likeliest = fit(data, model), -np.inf
+        found = ask(data, fitted, asked, 0 if known else TRIED)
         for _ in range(ROUNDS):
             if found is None:
                 break
             runs = all_runs(machine, [begun(log, found.starts) for log in logs], pushes)
             with_it = _with(machine, fitted.hypothesis, found)
             data, fitted = settle(machine, runs, with_it, data.noise, FEW_TUNINGS)
-            likelihood = sum(track.log_likelihood for track in data.tracks)
+            likelihood = _likelihood(data)
             if likelihood < likeliest + LIKELIER:
                 break
             likeliest, starts = likelihood, found.starts
-            found = ask(data, fitted, 0)
+            found = ask(data, fitted, {found.effect}, 0)
     except RunawayError:
         pass
     return starts
+
+
+def _likelihood(data: Data) -> float:
+    return float(sum(track.log_likelihood for track in data.tracks))
 
 
 def _with(machine: Machine, model: Hypothesis, found: _Found) -> Hypothesis:
@@ -142,13 +155,15 @@ class _Starts:
         """Of each residual (m,): 0 for logs that a camera sees, if any, then log by log."""
         self._count = self._first + len(names)
 
-    def best(self) -> _Found | None:
-        """Return the starts that explain surely most, if any do.
+    def best(self, effects: Collection[str]) -> _Found | None:
+        """Return the starts that explain surely most by some effects, if any do.
 
         More than any effect does of logs that begin alike: a spring that pulls all logs to one
         place pulls each of them another way.
         """
-        found = [*(self._turned(*one) for one in DIRECTED.items()), self._moved()]
+        found = [self._turned(*one) for one in DIRECTED.items() if one[0] in effects]
+        if TETHER in effects:
+            found.append(self._moved())
         best = max(filter(None, found), key=lambda one: one.explained, default=None)
         if best is None or best.explained < (1.0 + self._least_off) * max(self._alike):
             return None
