@@ -46,7 +46,7 @@ def row(kind="single", hidden=("payload",), named=("payload",), **changed):
         "impacts": None,
         "chance": 1.0,
         "time_s": 1.0,
-        "lambda": 100.0 if kind in ("single", "double") else None,
+        "lambda": 100.0 if kind in ("single", "double", "triple") else None,
         "gap_closed": 0.9,
         "gap_closed_oracle": 1.0,
     }
@@ -114,12 +114,23 @@ def test_what_could_be_seen_in_refused_logs_was_missed():
     faint = refused(**{"lambda": 3.0})
     one = summary([row(), refused(), faint, refused(kind="double", hidden=("payload", "sag"))])
     assert hits(one["logs refused"]) == (3, 4)
-    assert hits(one["single or double, visible: logs refused"]) == (2, 3)
+    assert hits(one["single, double or triple, visible: logs refused"]) == (2, 3)
     for name in ("single: first name right", "single: exact set"):
         assert hits(one[name]) == (1, 2)
     assert hits(one["double: both found"]) == (0, 1)
     assert one["gap closed against the oracle, median"] == {"value": 0.0, "of": 3}
     assert hits(by_effect([row(), refused(), faint])["payload"]["found where visible"]) == (1, 2)
+
+
+@pytest.mark.parametrize(
+    ("kind", "count", "all_found"), [("double", 2, "both"), ("triple", 3, "all")]
+)
+def test_sets_of_effects_are_found_all_and_exactly(kind, count, all_found):
+    hidden = ("payload", "body_drag", "cogging")[:count]
+    rows = [row(kind, hidden, hidden), row(kind, hidden, hidden[:-1])]
+    rows.append(row(kind, hidden, hidden, **{"lambda": 2.0}))  # nobody sees them
+    one = summary(rows)
+    assert hits(one[f"{kind}: {all_found} found"]) == hits(one[f"{kind}: exact set"]) == (1, 2)
 
 
 def test_a_null_that_was_refused_is_no_success():

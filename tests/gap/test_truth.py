@@ -565,6 +565,7 @@ def test_truth_is_json_and_says_what_is_hidden(tmp_path):
         ("null", {0}, "no_gap"),
         ("single", {1}, "effect_found"),
         ("double", {2}, "effect_found"),
+        ("triple", {3}, "effect_found"),
         ("unknown", {1}, "unknown_effect"),
         ("impact", {1, 2}, "effect_found"),
     ],
@@ -579,7 +580,7 @@ def test_random_cases_hold_what_they_promise(composition, count, verdict):
 
 
 def test_random_cases_are_mixed():
-    cases = [random_case(seed, COMPOSITIONS[seed % 5]) for seed in range(300)]
+    cases = [random_case(seed, COMPOSITIONS[seed % len(COMPOSITIONS)]) for seed in range(300)]
     assert np.mean([case.friction_curve != "atan" for case in cases]) > 0.5
     assert 0.4 < np.mean([case.closed_loop for case in cases]) < 0.6
     assert len({case.sensors for case in cases}) == 3

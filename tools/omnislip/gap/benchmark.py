@@ -61,8 +61,24 @@ VISIBLE = 25.0
 IN_TIME_S = 0.015
 SIZES = {
     "tiny": {"null": 1, "single": 3, "double": 1, "unknown": 1, "impact": 1, "wiring": 1},
-    "small": {"null": 20, "single": 57, "double": 20, "unknown": 13, "impact": 8, "wiring": 3},
-    "full": {"null": 150, "single": 171, "double": 84, "unknown": 52, "impact": 28, "wiring": 12},
+    "small": {
+        "null": 20,
+        "single": 57,
+        "double": 20,
+        "unknown": 13,
+        "impact": 8,
+        "wiring": 3,
+        "triple": 7,
+    },
+    "full": {
+        "null": 150,
+        "single": 171,
+        "double": 84,
+        "unknown": 52,
+        "impact": 28,
+        "wiring": 12,
+        "triple": 28,
+    },
 }
 """Cases of each class. Singles and unknowns go round the effects in turn."""
 

@@ -1,8 +1,8 @@
 """What the rows of `omnislip gap benchmark` say: figures, tables, and the confusion as a picture.
 
-A figure is a share with its 95 % Wilson interval, a median or a mean. Singles and doubles count
-where the oracle sees every hidden effect (`VISIBLE`); a case that failed counts as not right, and
-so does one whose logs were refused though something is hidden in them that can be seen. Of nulls
+A figure is a share with its 95 % Wilson interval, a median or a mean. Singles, doubles and triples
+count where the oracle sees every hidden effect (`VISIBLE`); a case that failed counts as not right,
+and so does one whose logs were refused though something is hidden in them that can be seen. Of nulls
 that were refused nobody knows whether they had been right: they count as refused only. The sections
 of `sections` are printed as tables and written to summary.json:
 
@@ -34,6 +34,7 @@ Numbers = dict[str, Any]
 DRAWN = ("single", "unknown", "null", "wiring")
 NOTHING, UNKNOWN = "nothing", "unknown"
 SUMMARY, CONFUSION = "summary.json", "confusion.png"
+OF_CATALOGUE = ("single", "double", "triple")
 NOT_IN_CATALOGUE = ("impact", "wiring", "unknown")
 """Classes in which the oracle sees nothing; all their cases count."""
 
@@ -59,9 +60,9 @@ def write_summary(rows: Sequence[Row], out: Path) -> dict[str, dict[str, Any]]:
 def summary(rows: Sequence[Row]) -> dict[str, Numbers]:
     """Return the figures of all classes."""
     of = {kind: [r for r in rows if r["kind"] == kind] for kind in SIZES["full"]}
-    seen = {kind: [r for r in of[kind] if _seen(r)] for kind in ("single", "double")}
-    both = seen["single"] + seen["double"]
-    sizes = [s for r in both for s in r["sizes"]]
+    seen = {kind: [r for r in of[kind] if _seen(r)] for kind in OF_CATALOGUE}
+    named = [r for own in seen.values() for r in own]
+    sizes = [s for r in named for s in r["sizes"]]
     pushes = [r["impacts"] for r in of["impact"] if r["impacts"]]
     in_time = [n < p["in_time"] for p in pushes for n in range(p["hidden"])]
     jolts = [r["impacts"] for r in rows if r["impacts"]]
@@ -72,11 +73,11 @@ def summary(rows: Sequence[Row]) -> dict[str, Numbers]:
     return {
         "failed": share([_failed(r) for r in rows]),
         "logs refused": share([_refused(r) for r in rows]),
-        "single or double, visible: logs refused": share([_refused(r) for r in both]),
+        "single, double or triple, visible: logs refused": share([_refused(r) for r in named]),
         "null: logs refused": share([_refused(r) for r in of["null"]]),
         "single: first name right": share([r["first"] for r in seen["single"]]),
         "single: exact set": share([r["exact"] for r in seen["single"]]),
-        "wheel right": share([r["wheel"] for r in both if r["wheel"] is not None]),
+        "wheel right": share([r["wheel"] for r in named if r["wheel"] is not None]),
         "size error, median": _median([s["error"] for s in sizes]),
         "interval holds the size": share([s["inside"] for s in sizes]),
         "null: false alarm": share([not r["exact"] for r in nulls]),
@@ -86,11 +87,13 @@ def summary(rows: Sequence[Row]) -> dict[str, Numbers]:
         ),
         "double: both found": share([all(r["recall"]) for r in seen["double"]]),
         "double: exact set": share([r["exact"] for r in seen["double"]]),
+        "triple: all found": share([all(r["recall"]) for r in seen["triple"]]),
+        "triple: exact set": share([r["exact"] for r in seen["triple"]]),
         "unknown: flagged": share([r["verdict"] == "unknown_effect" for r in of["unknown"]]),
         "unknown: misnamed": share(misnamed),
-        "truth inside the ambiguity set": share([i for r in both for i in r["in_set"]]),
-        "ambiguity set, mean size": _mean([n for r in both for n in r["set_size"]]),
-        "gap closed against the oracle, median": _median(_closed(both)),
+        "truth inside the ambiguity set": share([i for r in named for i in r["in_set"]]),
+        "ambiguity set, mean size": _mean([n for r in named for n in r["set_size"]]),
+        "gap closed against the oracle, median": _median(_closed(named)),
         "impacts in time": share(in_time),
         "impacts found that are there": share(true_pushes),
         "wiring: right": share([r["exact"] for r in of["wiring"]]),

@@ -45,7 +45,7 @@ from omnislip.gap.truth_excitation import (
 Array = NDArray[np.float64]
 
 SENSORS = ("gyro", "pose", "supply", "current")
-COMPOSITIONS = ("null", "single", "double", "unknown", "impact")
+COMPOSITIONS = ("null", "single", "double", "triple", "unknown", "impact")
 WHEEL_ANGLES_DEG = (30.0, 150.0, 210.0, 330.0)
 
 NOMINAL: dict[str, float] = {
@@ -436,8 +436,8 @@ def random_case(
 ) -> TruthCase:
     """A case with drawn sizes, contact curve, control, sensors and noise.
 
-    composition: `null` nothing hidden, `single` or `double` from the catalogue, `unknown` from
-    outside it, `impact` one or two pushes. `names` fixes the effects instead of drawing them,
+    composition: `null` nothing hidden, `single`, `double` or `triple` from the catalogue, `unknown`
+    from outside it, `impact` one or two pushes. `names` fixes the effects instead of drawing them,
     `excitation` the programme.
     """
     _check_choice("composition", composition, COMPOSITIONS)
@@ -471,7 +471,7 @@ def _draw_names(rng: np.random.Generator, composition: str) -> list[str]:
         return [str(rng.choice(list(UNKNOWN_EFFECTS)))]
     if composition == "impact":
         return ["impact"] * int(rng.integers(1, 3))
-    count = {"null": 0, "single": 1, "double": 2}[composition]
+    count = {"null": 0, "single": 1, "double": 2, "triple": 3}[composition]
     drawable = [name for name, effect in EFFECTS.items() if effect.drawn]
     return [str(name) for name in rng.choice(drawable, count, replace=False)]
 
