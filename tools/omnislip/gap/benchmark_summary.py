@@ -2,9 +2,9 @@
 
 A figure is a share with its 95 % Wilson interval, a median or a mean. Singles, doubles and triples
 count where the oracle sees every hidden effect (`VISIBLE`); a case that failed counts as not right,
-and so does one whose logs were refused though something is hidden in them that can be seen. Of nulls
-that were refused nobody knows whether they had been right: they count as refused only. The sections
-of `sections` are printed as tables and written to summary.json:
+and so does one whose logs were refused though something is hidden in them that can be seen. Of
+nulls that were refused nobody knows whether they had been right: they count as refused only. The
+sections of `sections` are printed as tables and written to summary.json:
 
     summary   every class of cases
     groups    by friction curve and by open or closed loop
