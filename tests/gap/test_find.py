@@ -414,6 +414,10 @@ def test_commands_are_asked_again_by_a_better_model(tmp_path, monkeypatch, first
     monkeypatch.setattr(
         first_models, "likelier_held", lambda *_: answers.pop() if answers else last
     )
+    motors = [
+        c for c in Machine(read_model(NOMINAL_ROBOT)).candidates() if c.effect == "weak_motor"
+    ]
+    monkeypatch.setattr(Machine, "candidates_for", lambda *_: motors)  # soon found
     weak = HiddenEffect("weak_motor", {"scale": 0.8}, 2).as_dict()
     write_case(TruthCase(seed=4, effects=(weak,), runs=3, run_duration_s=3.0), tmp_path)
     logs = sorted(tmp_path.glob("run_*.csv"))

@@ -46,7 +46,7 @@ def shares_of(effects=(), runs=6, seed=3, bend=None, **changed):
 
 def shares_in(machine, logs):
     """Shares beside the believed model, its keys and the noise fitted."""
-    data, fitted = settle(machine, logs, believed_hypothesis(machine))
+    data, fitted = settle(machine, logs, believed_hypothesis(machine), tunings=2)
     values = fitted.hypothesis.flat(machine.believed)
     tracks = track_all(machine, logs, values, data.noise, keep_linear=True)
     return predictable_shares(machine, logs, data.noise, values, tracks, values, data.answers)
