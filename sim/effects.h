@@ -113,6 +113,7 @@ struct Constants {
     /* memory: see memory.h */
     S delay_s[N], driver_lag_s[N], inductance_h[N], heating_1_a2_s[N], cooling_time_s[N];
     S bristle_length_m[N], bristle_rolling[N];
+    S slip_lags[N]; /* 1 where bristles hold the slip, 0 where they hold the force */
     S play_rad[N], tooth_frequency_rad_s[N], tooth_damping_ratio[N];
     S stiffness_nm_rad[N], damping_nm_s_rad[N], load_share[N];
 };
@@ -1001,20 +1002,25 @@ struct BristleRelaxation : Effect {
     static constexpr EffectInfo info = {
         "bristle_relaxation",
         "The drive force follows the slip after some sliding, or some rolling on.",
-        "z' = (abs(s / phi(s)) + rolling abs(VT)) (phi(s) - z) / length, force = N mu z",
+        "z' = pace (phi(s) - z) / length, force = N mu z; pace = abs(s / phi(s)), or "
+        "abs(R W / n) + abs(s) + 0.02 m/s with rolling = 1; with rolling = 2 so does the slip: "
+        "z' = pace (s - z) / length, force = N mu phi(z)",
         "contact",
-        "LuGre bristles (rolling = 0), or a tyre's relaxation length (1); "
-        "phi the friction law as a share of its limit",
+        "LuGre bristles (rolling = 0), or a tyre's relaxation length: its force lags (1; between, "
+        "a "
+        "blend), or its slip (beyond 1.5); phi the friction law as a share of its limit",
         Scope::kCommon,
         kRobot,
         kPrepare,
         2,
-        {{"length_m", "m", 0.0, 0.0, 0.05, 0.001}, {"rolling", "1", 0.0, 0.0, 1.0, 0.0}}};
+        {{"length_m", "m", 0.0, 0.0, 0.2, 0.001}, {"rolling", "1", 0.0, 0.0, 2.0, 0.0}}};
     template <class S, int N>
     static void prepare(Constants<S, N> &c, const Values<S> &p) {
+        using std::min;
         for (int i = 0; i < N; ++i) {
             c.bristle_length_m[i] = p(0, i);
-            c.bristle_rolling[i] = p(1, i);
+            c.bristle_rolling[i] = min(p(1, i), S(1.0));
+            c.slip_lags[i] = select(p(1, i) > S(1.5), S(1.0), S(0.0));
         }
     }
 };

@@ -73,7 +73,8 @@ void forget(Constants<S, N> &c) {
     c.pose_delay_s = c.clock_fraction = S(0.0);
     for (int i = 0; i < N; ++i) {
         c.delay_s[i] = c.driver_lag_s[i] = c.inductance_h[i] = S(0.0);
-        c.heating_1_a2_s[i] = c.bristle_length_m[i] = c.bristle_rolling[i] = S(0.0);
+        c.heating_1_a2_s[i] = c.bristle_length_m[i] = S(0.0);
+        c.bristle_rolling[i] = c.slip_lags[i] = S(0.0);
         c.cooling_time_s[i] = S(kCoolingTime_s);
         c.play_rad[i] = c.ripple_nm[i] = c.ripple_per_rad[i] = S(0.0);
         c.tooth_frequency_rad_s[i] = S(kToothFrequency_rad_s);

@@ -120,6 +120,7 @@ template <class S>
 class RobotPlant : public RobotLayout {
     using Lot = typename LotOf<S>::Type;
     static constexpr int kLot = LotOf<S>::kWheels;
+    static constexpr double kCreep_m_s = 0.02; /* a contact at rest settles all the same */
     static constexpr double kFreeLoad[4] = {1.0, -1.0, 1.0, -1.0}; /* which four legs leave free */
 
   public:
@@ -634,10 +635,16 @@ class RobotPlant : public RobotLayout {
             put(lot(c_.mu_drive + i), mu + i);
         }
         if (active_.use(kContact)) {
-            contact_effects(x, time_s, in, mu, radius_m, shape, roller_shape);
+            contact_effects(x, step, time_s, in, mu, radius_m, shape, roller_shape, grip_rate);
         } else {
             find_slip(x, radius_m, in, in.slip_m_s);
-            friction_law(in.slip_m_s, shape);
+            if (bristles_) {
+                S lagged_m_s[4];
+                lag_slip(step, in, lagged_m_s, grip_rate);
+                friction_law(lagged_m_s, shape);
+            } else {
+                friction_law(in.slip_m_s, shape);
+            }
             friction_law(in.roller_speed_m_s, roller_shape);
         }
         if (bristles_)
@@ -667,27 +674,51 @@ class RobotPlant : public RobotLayout {
         }
     }
 
+    /* The slip that the friction law knows: where it lags, the mean over the step of what relaxes
+     * to the slip, and the rate of that. */
+    void lag_slip(const Step &step, const RobotInternals<S> &in, S *lagged_m_s, S *rate) const {
+        for (int i = 0; i < 4; ++i) {
+            const auto lag =
+                Relaxation<S>::over(S(step.length_s) * rolled_m_s(in, i), per_bristle_m_[i]);
+            const S ahead = in.slip_m_s[i] - step.grip[i];
+            const S left = select(c_.slip_lags[i] > S(0.0), lag.left, S(0.0));
+            lagged_m_s[i] = in.slip_m_s[i] - left * ahead;
+            rate[i] = lag.gained * S(step.inverse_s) * ahead;
+        }
+    }
+
+    /* By how much a tyre's contact renews itself: the way of its rim and what it slips, and creep.
+     */
+    S rolled_m_s(const RobotInternals<S> &in, int i) const {
+        using std::abs;
+        const S &slip = in.slip_m_s[i];
+        return abs(in.hub_speed_m_s[i] + slip) + abs(slip) + S(kCreep_m_s);
+    }
+
     /* The bristles' share of the grip relaxes to that of the friction law with the distance slipped
-     * or rolled; in: law, out: mean share over the step and rate of the share. */
+     * or rolled; in: law, out: mean share over the step and rate of the share. Not where the slip
+     * lags: there what is held is slip. */
     void bend_bristles(const Step &step, const RobotInternals<S> &in, S *shape, S *rate) const {
         using std::abs;
         using std::max;
         const S at_rest = S(2.0 / kPi) * c_.slip_stiffness_s_m; /* share per slip */
         for (int i = 0; i < 4; ++i) {
+            const auto slip_lags = c_.slip_lags[i] > S(0.0);
             const S share = abs(shape[i]);
             const S slip_per_share = select(
                 share > S(1e-9), abs(in.slip_m_s[i]) / max(share, S(1e-9)), S(1.0) / at_rest);
-            const S pace_m_s = slip_per_share + c_.bristle_rolling[i] * abs(in.hub_speed_m_s[i]);
+            const S more_m_s = rolled_m_s(in, i) - slip_per_share;
+            const S pace_m_s = slip_per_share + c_.bristle_rolling[i] * more_m_s;
             const auto bristle =
                 Relaxation<S>::over(S(step.length_s) * pace_m_s, per_bristle_m_[i]);
             const S ahead = shape[i] - step.grip[i];
-            rate[i] = bristle.gained * S(step.inverse_s) * ahead;
-            shape[i] = shape[i] - bristle.left * ahead;
+            rate[i] = select(slip_lags, rate[i], bristle.gained * S(step.inverse_s) * ahead);
+            shape[i] = select(slip_lags, shape[i], shape[i] - bristle.left * ahead);
         }
     }
 
-    void contact_effects(const S *x, const S &time_s, RobotInternals<S> &in, S *mu, S *radius_m,
-                         S *shape, S *roller_shape) const {
+    void contact_effects(const S *x, const Step &step, const S &time_s, RobotInternals<S> &in,
+                         S *mu, S *radius_m, S *shape, S *roller_shape, S *grip_rate) const {
         ContactTerm<S, 4> term;
         S room[4];
         term.shaft_angle_rad = shaft_angles(x, room);
@@ -703,7 +734,11 @@ class RobotPlant : public RobotLayout {
                 x[kPose + 2] + c_.wheel_angle_rad[i] + c_.roller_angle_offset_rad[i] + S(kPi / 2.0);
         }
         eccentric_radius(term);
-        find_slip(x, term.radius_m, in, term.slip_m_s);
+        find_slip(x, term.radius_m, in, in.slip_m_s);
+        for (int i = 0; i < 4; ++i)
+            term.slip_m_s[i] = in.slip_m_s[i];
+        if (bristles_)
+            lag_slip(step, in, term.slip_m_s, grip_rate);
         for (int i = 0; i < 4; ++i) {
             term.scaled_slip[i] = c_.slip_stiffness_s_m * term.slip_m_s[i];
             term.scaled_roller[i] = c_.slip_stiffness_s_m * in.roller_speed_m_s[i];
@@ -727,7 +762,6 @@ class RobotPlant : public RobotLayout {
             radius_m[i] = term.radius_m[i];
             shape[i] = term.shape[i];
             roller_shape[i] = term.roller_shape[i];
-            in.slip_m_s[i] = term.slip_m_s[i];
         }
     }
 

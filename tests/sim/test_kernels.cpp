@@ -299,7 +299,11 @@ static void linearised_row_is_the_slope_of_the_plant(void) {
 }
 
 static void linearised_row_knows_what_bristles_hold(void) {
-    rows_slope_is_the_plants(RobotModel().effect("bristle_relaxation", "length_m", 2e-3), 4);
+    for (const double rolling : {0.0, 1.0, 2.0}) { /* 2: they hold the slip */
+        RobotModel bristles;
+        bristles.effect("bristle_relaxation", "length_m", 2e-3);
+        rows_slope_is_the_plants(bristles.effect("bristle_relaxation", "rolling", rolling), 4);
+    }
 }
 
 static void linearised_row_knows_how_springs_are_twisted(void) {

@@ -164,7 +164,7 @@ static void winding_warms_towards_the_balance_with_its_cooling(void) {
 
 /* ---- contact ---- */
 
-/* dz/dt = (|s / phi| + rolling |VT|) (phi - z) / length at a slip and a speed that stay. */
+/* dz/dt = pace (phi - z) / length at a slip and a speed that stay, or pace (s - z) / length. */
 static void bristles_relax_with_the_distance(double rolling) {
     const double length_m = 2e-3, duration_s = 0.004;
     Robot robot(unmoved()
@@ -177,12 +177,36 @@ static void bristles_relax_with_the_distance(double rolling) {
         robot.all[static_cast<std::size_t>(Layout::kGrip + i)] = 0.0;
     robot.drive(kRest, duration_s);
     for (std::size_t i = 0; i < 4; ++i) {
-        const double slip_m_s = robot.in.slip_m_s[i];
+        const double slip_m_s = robot.in.slip_m_s[i], hub_m_s = robot.in.hub_speed_m_s[i];
         const double law = 2.0 / kPi * std::atan(40.0 * slip_m_s);
-        const double pace_m_s = slip_m_s / law + rolling * std::abs(robot.in.hub_speed_m_s[i]);
-        const double lengths = pace_m_s * duration_s / length_m;
-        const double share = robot.all[Layout::kGrip + i];
-        TEST_ASSERT_DOUBLE_WITHIN(1e-6, law * (1.0 - std::exp(-lengths)), share);
+        const double slipped_m_s = slip_m_s / law;
+        const double rolled_m_s = std::abs(hub_m_s + slip_m_s) + std::abs(slip_m_s) + 0.02;
+        const double share = std::min(rolling, 1.0);
+        const double pace_m_s = (1.0 - share) * slipped_m_s + share * rolled_m_s;
+        const double gained = 1.0 - std::exp(-pace_m_s * duration_s / length_m);
+        const double goes_to = rolling > 1.5 ? slip_m_s : law;
+        TEST_ASSERT_DOUBLE_WITHIN(1e-6, goes_to * gained, robot.all[Layout::kGrip + i]);
+    }
+}
+
+/* The law at the slip that is held, which has all but got there. */
+static void force_of_a_slip_that_lags_is_that_of_the_law(void) {
+    const double length_m = 2e-3;
+    for (const double held : {0.5, 1.0}) {
+        Robot robot(unmoved()
+                        .effect("bristle_relaxation", "length_m", length_m)
+                        .effect("bristle_relaxation", "rolling", 2.0));
+        robot.x = kMoving;
+        robot.x[Layout::kVelocity + 2] = 0.0;
+        robot.drive(kRest, 1e-6);
+        for (std::size_t i = 0; i < 4; ++i)
+            robot.all[Layout::kGrip + i] = held * robot.in.slip_m_s[i];
+        robot.drive(kRest, 1e-9);
+        for (std::size_t i = 0; i < 4; ++i) {
+            const double law = 2.0 / kPi * std::atan(40.0 * held * robot.in.slip_m_s[i]);
+            const double force_n = 0.6 * robot.in.load_n[i] * law;
+            TEST_ASSERT_DOUBLE_WITHIN(1e-4, force_n, robot.in.drive_force_n[i]);
+        }
     }
 }
 
@@ -192,6 +216,11 @@ static void bristles_relax_with_the_distance_slipped(void) {
 
 static void tyres_relax_with_the_distance_rolled_too(void) {
     bristles_relax_with_the_distance(0.7);
+    bristles_relax_with_the_distance(1.0);
+}
+
+static void slip_lags_with_the_distance_rolled(void) {
+    bristles_relax_with_the_distance(2.0);
 }
 
 /* ---- gear ---- */
@@ -529,6 +558,8 @@ int main(void) {
     RUN_TEST(winding_warms_towards_the_balance_with_its_cooling);
     RUN_TEST(bristles_relax_with_the_distance_slipped);
     RUN_TEST(tyres_relax_with_the_distance_rolled_too);
+    RUN_TEST(slip_lags_with_the_distance_rolled);
+    RUN_TEST(force_of_a_slip_that_lags_is_that_of_the_law);
     RUN_TEST(compliant_shaft_rings_at_its_natural_frequency);
     RUN_TEST(damper_takes_the_energy_out_of_the_twist);
     RUN_TEST(lost_motion_of_a_reversal_is_the_play);

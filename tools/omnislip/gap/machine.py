@@ -683,7 +683,7 @@ SHAPE_GRIDS = {
     ),
     ("roller_ripple", "rollers"): tuple(float(n) for n in range(6, 25)),
     ("grip_falloff", "speed_m_s"): (0.1, 0.3, 0.9),
-    ("bristle_relaxation", "rolling"): (0.0, 1.0),
+    ("bristle_relaxation", "rolling"): (0.0, 1.0, 2.0),  # the last: the slip lags
     ("current_limit", "limit_a"): (2.5, 5.0, 9.0, 15.0),
     ("shaft_compliance", "stiffness_nm_rad"): (30.0, 100.0, 300.0),
     ("cogging", "phase_rad"): (0.0, math.pi / 2),
