@@ -18,7 +18,9 @@ from omnislip.gap.screen import screen
 from omnislip.gap.settle import believed_hypothesis, settle
 from omnislip.gap.truth import TruthCase
 from omnislip.gap.truth_effects import HiddenEffect
-from omnislip.model_file import NOMINAL_ROBOT, read_model
+from omnislip.model_file import NOMINAL_ROBOT, Effect, read_model
+from omnislip.scenario import read_scenario
+from omnislip.simulate import run_scenario
 from truth_bench import logs_of, robot_runs
 
 
@@ -148,6 +150,26 @@ def test_bristles_are_found_along_their_own_filter(tmp_path, length_m):
     else:
         assert further is None
         assert ahead.trials == []
+
+
+@pytest.mark.parametrize("rolling", [1.0, 2.0])
+def test_what_lags_by_the_way_rolled_is_told_force_or_slip(rolling):
+    """By logs of the plant itself: the generator has bristles of the other kind."""
+    scenario = read_scenario(NOMINAL_ROBOT.parents[1] / "scenarios" / "identification.toml")
+    tyres = Effect("bristle_relaxation", {"length_m": 0.02, "rolling": rolling})
+    robot = replace(scenario.model, effects=[tyres])
+    log = run_scenario(replace(scenario, model=robot)).log
+    machine = machine_for(read_model(NOMINAL_ROBOT), [log])
+    data, current = settle(machine, [make_run(machine, log)], believed_hypothesis(machine))
+    ahead = Ahead(data, current, machine.candidates(), 1, 100, silent)
+    [candidate] = [c for c in machine.candidates() if c.effect == tyres.name]
+    none = ahead._likelihood(current.hypothesis, data.runs)
+    told = {
+        way: ahead._likelihood(current.hypothesis.with_effect(candidate, [0.02, way]), data.runs)
+        for way in (start[1] for start in candidate.starts)
+    }
+    assert max(told, key=told.__getitem__) == rolling
+    assert told[rolling] > none
 
 
 @pytest.mark.parametrize("length_m", [0.02, 0.0])
