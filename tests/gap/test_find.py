@@ -24,7 +24,7 @@ from omnislip.gap.noise import RunawayError
 from omnislip.gap.search import Found, MistakenError
 from omnislip.gap.truth import TruthCase, write_case
 from omnislip.gap.truth_effects import HiddenEffect, typical_effect
-from omnislip.gap.words import HELD_COMMANDS
+from omnislip.gap.words import HELD_COMMANDS, OTHER_STARTS
 from omnislip.log_file import Log, write_log
 from omnislip.model_file import NOMINAL_ROBOT, read_model
 from truth_bench import robot_log, stretches
@@ -467,11 +467,41 @@ def test_turns_to_another_machine_cost_no_search_for_pushes(monkeypatch):
     monkeypatch.setattr(find, "_by_lost_rows", lambda logs, impacts: (impacts, []))
     asked = []
     monkeypatch.setattr(find, "find_zeros", lambda *_: asked.append(True) or {})
-    recorded = SimpleNamespace(machine=machine, logs=[], cuts=[], told=[], zeros=None)
+    monkeypatch.setattr(find, "find_starts", lambda *_: {})
+    recorded = find._Recorded(None, machine, [], {}, [])
     find._search(recorded, lambda _: None)
     assert len(outcomes) == 1 + find.MOST_AGAIN and not turns
     find._search(recorded, lambda _: None)
     assert asked == [True]  # once for all logs, whichever are held out
+
+
+@pytest.mark.parametrize("moved_before", [False, True])
+def test_logs_that_begin_elsewhere_by_the_final_model_are_searched_again(monkeypatch, moved_before):
+    """Names that stood for a direction that was none are judged anew, if none was known."""
+    found = Found(SimpleNamespace(effects=()), None, {}, ())
+    machine = SimpleNamespace(holds_commands=False, reads_before=False)
+    split = SimpleNamespace(enough=True, thinned="", fitting=[])
+    first = SimpleNamespace(without_effects=lambda: None)
+    log = Log("run_01", np.arange(3.0), {})
+    pose = (0.0, 0.0, 1.0)
+    told, befores = [{log.name: pose} if moved_before else {}, {log.name: pose}, {}], []
+
+    def search(*given):
+        befores.append(given[-1])
+        return SimpleNamespace(found=found)
+
+    monkeypatch.setattr(find, "split_runs", lambda *_: split)
+    monkeypatch.setattr(find, "first_models", lambda *_: (machine, None, first))
+    monkeypatch.setattr(find, "search", search)
+    monkeypatch.setattr(find, "_pushes_beside", lambda *_: ([], []))
+    monkeypatch.setattr(find, "_pushes_by", lambda *_: [])
+    monkeypatch.setattr(find, "find_zeros", lambda *_: {})
+    monkeypatch.setattr(find, "find_starts", lambda *_: told.pop(0))
+    recorded = find._Recorded(None, machine, [log], {}, [])
+    find._search(recorded, lambda _: None)
+    assert befores == [None, replace(found, mistaken=not moved_before)] and told == []
+    assert recorded.logs[0].begun_at == pose
+    assert recorded.words == [OTHER_STARTS]
 
 
 @pytest.mark.parametrize(("effects", "again"), [(0, False), (1, False), (2, True), (3, True)])
