@@ -1007,8 +1007,7 @@ struct BristleRelaxation : Effect {
         "z' = pace (s - z) / length, force = N mu phi(z)",
         "contact",
         "LuGre bristles (rolling = 0), or a tyre's relaxation length: its force lags (1; between, "
-        "a "
-        "blend), or its slip (beyond 1.5); phi the friction law as a share of its limit",
+        "a blend), or its slip (beyond 1.5); phi the friction law as a share of its limit",
         Scope::kCommon,
         kRobot,
         kPrepare,

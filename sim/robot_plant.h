@@ -362,6 +362,7 @@ class RobotPlant : public RobotLayout {
             any_lane_differs(c_.pose_delay_s, 0.0) || any_lane_differs(c_.clock_fraction, 0.0);
         inductive_ = any_differs(c_.inductance_h, 4, 0.0);
         bristles_ = any_differs(c_.bristle_length_m, 4, 0.0);
+        slip_lags_ = bristles_ && any_differs(c_.slip_lags, 4, 0.0);
         const bool plays = any_differs(c_.play_rad, 4, 0.0);
         springs_ = any_differs(c_.stiffness_nm_rad, 4, kUnbounded) && !plays;
         soft_ = springs_ || plays;
@@ -638,7 +639,7 @@ class RobotPlant : public RobotLayout {
             contact_effects(x, step, time_s, in, mu, radius_m, shape, roller_shape, grip_rate);
         } else {
             find_slip(x, radius_m, in, in.slip_m_s);
-            if (bristles_) {
+            if (slip_lags_) {
                 S lagged_m_s[4];
                 lag_slip(step, in, lagged_m_s, grip_rate);
                 friction_law(lagged_m_s, shape);
@@ -712,8 +713,10 @@ class RobotPlant : public RobotLayout {
             const auto bristle =
                 Relaxation<S>::over(S(step.length_s) * pace_m_s, per_bristle_m_[i]);
             const S ahead = shape[i] - step.grip[i];
-            rate[i] = select(slip_lags, rate[i], bristle.gained * S(step.inverse_s) * ahead);
-            shape[i] = select(slip_lags, shape[i], shape[i] - bristle.left * ahead);
+            const S bending = bristle.gained * S(step.inverse_s) * ahead;
+            const S bent = shape[i] - bristle.left * ahead;
+            rate[i] = slip_lags_ ? select(slip_lags, rate[i], bending) : bending;
+            shape[i] = select(slip_lags, shape[i], bent);
         }
     }
 
@@ -737,7 +740,7 @@ class RobotPlant : public RobotLayout {
         find_slip(x, term.radius_m, in, in.slip_m_s);
         for (int i = 0; i < 4; ++i)
             term.slip_m_s[i] = in.slip_m_s[i];
-        if (bristles_)
+        if (slip_lags_)
             lag_slip(step, in, term.slip_m_s, grip_rate);
         for (int i = 0; i < 4; ++i) {
             term.scaled_slip[i] = c_.slip_stiffness_s_m * term.slip_m_s[i];
@@ -1019,7 +1022,8 @@ class RobotPlant : public RobotLayout {
     S per_driver_lag_s_[4], per_bristle_m_[4];
     MemoryPlaces<kAll - kStates> memory_;
     bool delays_ = false, remembers_ = false, lags_ = false, inductive_ = false;
-    bool heats_ = false, bristles_ = false, soft_ = false, springs_ = false, shows_late_ = false;
+    bool heats_ = false, bristles_ = false, slip_lags_ = false, soft_ = false, springs_ = false,
+         shows_late_ = false;
     bool unshown_ = false;
 };
 
