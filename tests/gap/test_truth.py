@@ -40,6 +40,7 @@ from omnislip.gap.truth_effects import (
     parse_effect,
     typical_effect,
 )
+from scipy.integrate import solve_ivp
 
 ALL_EFFECTS = EFFECTS | UNKNOWN_EFFECTS
 WITH_PARAMETERS = sorted(name for name, effect in ALL_EFFECTS.items() if effect.parameters)
@@ -129,6 +130,29 @@ def test_inductive_motor_follows_both_modes():
     expected = final[1] + free[1].real
     error = np.abs(history[:, plant_model.SHAFT_SPEED][:, 0] - expected).max()
     assert error < 2e-3 * final[1]
+
+
+def test_the_current_of_a_warm_winding_is_less_late():
+    """L di/dt = V d - R (1 + c Q) i - k W;  Q' = i^2 - Q / T;  J W' = k i - b W."""
+    inductance, heating, volt = 3e-3, 0.1, 24.0 * 0.6
+    duty = np.full((100, 4), 0.6)
+    plant = plant_with(mu_drive=0.0, inductance_h=inductance, heating_1_a2_s=heating)
+    history = simulate(plant, duty)
+
+    def motion(_t, state):
+        current, speed, heat = state
+        resistance = 0.6 * (1.0 + heating * heat)
+        return [
+            (volt - resistance * current - 0.0255 * speed) / inductance,
+            (0.0255 * current - 1.5e-5 * speed) / 2.5e-5,
+            current**2 - heat / plant_model.COOLING_TIME_S,
+        ]
+
+    t = np.arange(len(history)) * TICK_S
+    exact = solve_ivp(motion, (0.0, t[-1]), [0.0, 0.0, 0.0], t_eval=t, rtol=1e-9, atol=1e-9).y
+    error = np.abs(history[:, plant_model.SHAFT_SPEED][:, 0] - exact[1]).max()
+    assert exact[2].max() * heating > 0.2
+    assert error < 2e-3 * exact[1].max()
 
 
 @settings(max_examples=60)

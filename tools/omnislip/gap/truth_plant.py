@@ -191,7 +191,7 @@ WORK = np.dtype(
 _WHEEL_INERTIA_SHARE = 0.2
 _TOOTH_STIFFNESS_NM_RAD = 5000.0
 _TOOTH_DAMPING_NM_S_RAD = 2.0
-_COOLING_TIME_S = 60.0
+COOLING_TIME_S = 60.0
 _SIGN_SPEED_RAD_S = 2.0
 # State vector: pose, body velocity, then four each of shaft speed, shaft angle, wheel speed, wheel
 # angle, counted angle of the encoder.
@@ -313,11 +313,16 @@ def _torque_constant(p: np.record, i: int, heat_a2_s: float) -> float:
 
 
 @njit(cache=True)
+def _warm_resistance_ohm(p: np.record, i: int, heat_a2_s: float) -> float:
+    return p.resistance_ohm[i] * (1.0 + p.heating_1_a2_s[i] * heat_a2_s)
+
+
+@njit(cache=True)
 def _steady_current(
     p: np.record, i: int, supply_v: float, duty: float, speed_rad_s: float, heat_a2_s: float
 ) -> float:
-    resistance = p.resistance_ohm[i] * (1.0 + p.heating_1_a2_s[i] * heat_a2_s)
-    return (supply_v * duty - _torque_constant(p, i, heat_a2_s) * speed_rad_s) / resistance
+    open_v = supply_v * duty - _torque_constant(p, i, heat_a2_s) * speed_rad_s
+    return open_v / _warm_resistance_ohm(p, i, heat_a2_s)
 
 
 @njit(cache=True)
@@ -578,10 +583,11 @@ def _slow_states(p: np.record, step_s: float, y: Array, work: np.record) -> None
     Bristle: dz/dt = s - |s| z / (length phi(s)), LuGre, deflection `length` when sliding.
     """
     for i in range(4):
-        work.heat_a2_s[i] += step_s * (work.current_a[i] ** 2 - work.heat_a2_s[i] / _COOLING_TIME_S)
+        work.heat_a2_s[i] += step_s * (work.current_a[i] ** 2 - work.heat_a2_s[i] / COOLING_TIME_S)
         if p.inductance_h[i] > 0.0:
             steady = _steady_current(p, i, work.bus_v, work.duty[i], y[_W + i], work.heat_a2_s[i])
-            decay = math.exp(-step_s * p.resistance_ohm[i] / p.inductance_h[i])
+            resistance_ohm = _warm_resistance_ohm(p, i, work.heat_a2_s[i])
+            decay = math.exp(-step_s * resistance_ohm / p.inductance_h[i])
             work.inductive_a[i] = steady + (work.inductive_a[i] - steady) * decay
         if p.bristle_m[i] > 0.0:
             slip = work.slip_m_s[i]
