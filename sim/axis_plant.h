@@ -6,12 +6,13 @@
  *   tau = g u - e v, and 0 while the drive is off: no current flows, so nothing brakes
  *
  * M inertia or mass, g input gain, e back-EMF as viscous equivalent, b viscous friction,
- * m_p and l pendulum mass and length (0: none), q0 where it hangs. The same friction effects act as
- * on the robot's shafts; "torque" is force on a linear axis. A pendulum loads the gear also while
- * the motor gives nothing: load dependent friction takes the larger of tau and its torque. Behind
- * the state the memory (3) of memory.h: command that has left the driver, slack and twist of a soft
- * gear or drive (two masses); friction is then on the motor's side, the pendulum behind the gear,
- * and the position is that of the motor.
+ * m_p and l pendulum mass and length (0: none), q0 where it hangs. M is all that moves, m_p l^2 of
+ * the pendulum among it; a payload hangs at its end. The same friction effects act as on the
+ * robot's shafts; "torque" is force on a linear axis. A pendulum loads the gear also while
+ * the motor gives nothing: load dependent friction takes the larger of tau and its torque.
+ * Behind the state the memory (3) of memory.h: command that has left the driver, slack and twist of
+ * a soft gear or drive (two masses); friction is then on the motor's side, the pendulum behind the
+ * gear, and the position is that of the motor.
  */
 #ifndef OMNISLIP_SIM_AXIS_PLANT_H
 #define OMNISLIP_SIM_AXIS_PLANT_H
@@ -67,8 +68,11 @@ class AxisPlant {
         forget(c_);
         active_.prepare(flat + kBase, active, c_);
         active_.add_hooks(user_.prepare(terms, flat + kBase + effect_slot_count(kMotors)));
-        inertia_ = c_.mass_kg + c_.inertia_kg_m2;
-        gravity_torque_ = flat[4] * flat[5] * flat[6];
+        const S payload_kg = c_.mass_kg - flat[0];
+        const S at_the_end = payload_kg * flat[5] * flat[5];
+        inertia_ = flat[0] + c_.inertia_kg_m2 + select(flat[4] > S(0.0), at_the_end, payload_kg);
+        gravity_torque_ =
+            select(flat[4] > S(0.0), flat[4] + payload_kg, S(0.0)) * flat[5] * flat[6];
         hangs_ = any_differs(&gravity_torque_, 1, 0.0);
         gear_.prepare(c_, 0, inertia_);
         delays_ = any_differs(c_.delay_s, 1, 0.0);

@@ -1177,7 +1177,7 @@ struct DiagonalLoadBias : Effect {
 struct Payload : Effect {
     static constexpr EffectInfo info = {"payload",
                                         "The robot is heavier (or lighter) than believed.",
-                                        "m + x at the centre",
+                                        "m + x at the centre (of a pendulum: at its end)",
                                         "body",
                                         "load, battery",
                                         Scope::kWhole,

@@ -248,3 +248,28 @@ def test_an_effect_gives_way_to_a_delay_only_if_it_explains_no_more_beside_it(
     monkeypatch.setattr(judge, "weigh", white)
     data, evidence = SimpleNamespace(feigned_gain=0.0), SimpleNamespace(inflation=1.0)
     assert judge._short_delay_does(data, without, fitted, evidence, 80) == instead
+
+
+@pytest.mark.parametrize(
+    ("effect", "turned", "least"),
+    [
+        ("inertia_error", False, np.inf),
+        ("inertia_error", True, 100.0),
+        ("coulomb_friction", False, 100.0),
+        ("contact_shape", False, 40.0),
+    ],
+)
+def test_what_turns_a_robot_that_only_disturbances_turn_gets_no_name(effect, turned, least):
+    """And the friction curve is asked for no more than where all directions are driven."""
+    data = SimpleNamespace(feigned_gain=100.0, turned=turned)
+    assert judge._feigned_gain(data, SimpleNamespace(effect=effect)) == least
+
+
+def test_any_inertia_stands_beside_what_is_left_where_only_disturbances_turn_a_robot(tmp_path):
+    case = TruthCase(seed=512, excitation="rich", runs=2, run_duration_s=3.0)
+    robot, runs, _ = robot_runs(case, tmp_path)
+    data, fitted = settle(robot, runs, believed_hypothesis(robot))
+    assert judge.beside_turning(data, fitted) is fitted
+    data.turned = False
+    freer = judge.beside_turning(data, fitted)
+    assert [effect.effect for effect in freer.hypothesis.effects] == ["inertia_error"]

@@ -1,9 +1,17 @@
 """What stands in the place of an effect where that is likelier."""
 
+from types import SimpleNamespace
+
 import pytest
 from axis_bench import silent
 from omnislip.gap import rivals as rivals_module
-from omnislip.gap.rivals import compare_all, swap_effects, take_likeliest, take_one_of_curve
+from omnislip.gap.rivals import (
+    compare_all,
+    drop_wandering,
+    swap_effects,
+    take_likeliest,
+    take_one_of_curve,
+)
 from omnislip.gap.settle import believed_hypothesis, settle
 from omnislip.gap.truth import TruthCase
 from omnislip.gap.truth_effects import HiddenEffect
@@ -106,3 +114,31 @@ def test_a_grip_that_falls_at_once_beside_a_curve_may_be_a_low_grip_beside_anoth
             "contact_shape",
             "low_grip",
         }
+
+
+@pytest.mark.parametrize(
+    ("gain", "inflation", "variation", "stays"),
+    [
+        (50.0, 5.0, 0.8, False),
+        (50.0, 5.0, 0.3, True),
+        (50.0, 2.0, 0.8, True),
+        (500.0, 5.0, 0.8, True),
+    ],
+)
+def test_a_weak_effect_that_wanders_is_dropped(monkeypatch, gain, inflation, variation, stays):
+    """Not one that is a part of what is named, nor one whose change chance makes."""
+
+    def model(*names):
+        effects = tuple(SimpleNamespace(effect=name) for name in names)
+        return SimpleNamespace(hypothesis=SimpleNamespace(effects=effects))
+
+    def told(gain, inflation=1.0, variation=0.0):
+        evidence = SimpleNamespace(gain=gain, inflation=inflation, variation=variation)
+        return SimpleNamespace(evidence=evidence, without=model("dead_zone"))
+
+    strong, weak = told(1e4), told(gain, inflation, variation)
+    monkeypatch.setattr(rivals_module, "compare_all", lambda *_: [strong])
+    both = model("dead_zone", "body_drag")
+    final, compared = drop_wandering(None, both, {}, silent, [strong, weak])
+    assert (final is both) == stays
+    assert len(compared) == 1 + stays

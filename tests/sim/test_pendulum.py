@@ -47,6 +47,14 @@ def test_a_drive_that_is_off_is_so_in_every_lane_and_row():
     np.testing.assert_allclose(together, np.stack(alone), atol=1e-12)
 
 
+def test_a_payload_hangs_at_the_end_of_the_pendulum():
+    payload = [("payload", "mass_kg", 0.25)]
+    inertia = 0.006 + 0.25 * 0.1**2
+    assert acceleration(0.3, 0.0, 0.0, payload) == pytest.approx(
+        -1.5 * WEIGHT_NM * np.sin(0.3) / inertia
+    )
+
+
 def test_load_dependent_friction_feels_the_weight_while_the_motor_gives_nothing():
     friction = [("load_dependent_friction", "coefficient", 0.2)]
     without, loaded = acceleration(0.5, 1.0, np.nan), acceleration(0.5, 1.0, np.nan, friction)

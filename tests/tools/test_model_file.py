@@ -202,6 +202,10 @@ AXIS_MISTAKES = {
     "pendulum on a mass": ("mass_kg = 1.0", "mass_kg = 1\npendulum_mass_kg = 1", ["pendulum"]),
     "half a pendulum": ("mass_kg = 1.0\ninput_gain_n_v", "inertia_kg_m2 = 1\npendulum_mass_kg = 1\n"
                         "input_gain_nm_v", ["axis.pendulum_length_m"]),
+    "inertia without the pendulum": (
+        "mass_kg = 1.0\ninput_gain_n_v", "inertia_kg_m2 = 0.01\npendulum_mass_kg = 1\n"
+        "pendulum_length_m = 0.2\ninput_gain_nm_v",
+        ["axis.inertia_kg_m2", "all that turns", "0.04", "not 0.01"]),
 }  # fmt: skip
 
 
@@ -293,7 +297,18 @@ def axis_values(keys: dict[str, str]) -> st.SearchStrategy:
     gains = [key for key in keys if key.startswith("axis.input_gain")]
     others = {key: rule for key, rule in keys.items() if key not in gains}
     one_gain = st.sampled_from(gains).flatmap(lambda key: values_of({key: keys[key]}, (0, 0)))
-    return st.tuples(values_of(others, (0, 0)), one_gain).map(lambda parts: parts[0] | parts[1])
+    return st.tuples(values_of(others, (0, 0)), one_gain).map(
+        lambda parts: with_its_pendulum(parts[0] | parts[1])
+    )
+
+
+def with_its_pendulum(values: dict[str, float]) -> dict[str, float]:
+    """No inertia is less than the pendulum's at its length, here of a metre at most."""
+    length, inertia = "axis.pendulum_length_m", "axis.inertia_kg_m2"
+    if length in values:
+        values = values | {length: min(values[length], 1.0)}
+    least = values.get("axis.pendulum_mass_kg", 0.0) * values.get(length, 0.0) ** 2
+    return values | ({inertia: max(values[inertia], least)} if inertia in values else {})
 
 
 def is_no_empty_patch(sizes: dict[str, float]) -> bool:

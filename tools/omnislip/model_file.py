@@ -2,7 +2,8 @@
 
 [model] kind says what the machine is (default "robot"):
     robot     four driven omni wheels; tables [robot] [motor] [contact] [encoder]
-    axis      one driven axis, translating (mass_kg, N) or turning (inertia_kg_m2, N m)
+    axis      one driven axis, translating (mass_kg, N) or turning (inertia_kg_m2, N m). The mass or
+              inertia is that of all that moves: of a pendulum, too
     odometry  geometry of a robot with 2 to 8 wheels, encoders only. The encoders are counted per
               turn of the wheel, so that positive counts turn the robot counter-clockwise. Two
               wheels on one axle, or two tracks, have angles that differ by 180 degrees. A mecanum
@@ -40,6 +41,10 @@ from omnislip.user_effects import read_entries
 
 DEFAULT_TOLERANCE = 0.02
 NOMINAL_ROBOT = Path(__file__).parent / "robots" / "msl_omni_4.toml"
+
+LEAST_OF_PENDULUM = 0.8
+"""Share of a pendulum's mass times its squared length, each believed to some percents, that the
+inertia of its axis must have."""
 
 POSITIVE = "greater than 0"
 NOT_NEGATIVE = "0 or more"
@@ -139,7 +144,7 @@ IMPACT_KEYS = ("time_s", "impulse_x_n_s", "impulse_y_n_s", "impulse_theta_n_m_s"
 # Effects that are added to a mass or an inertia, and the keys of which one holds it: something of
 # it must be left.
 ADDED_TO = {
-    "payload": ("robot.mass_kg", "axis.mass_kg", "axis.inertia_kg_m2"),
+    "payload": ("robot.mass_kg", "axis.mass_kg", "axis.pendulum_mass_kg", "axis.inertia_kg_m2"),
     "inertia_error": ("robot.inertia_kg_m2", "axis.inertia_kg_m2", "axis.mass_kg"),
     "motor_inertia_error": ("motor.inertia_kg_m2",),
 }
@@ -325,9 +330,11 @@ def _read_values(
     }
     check_known(flat, rules, "key", path)
     _check_complete(kind, flat, rules, path)
-    return {
+    values = {
         key: _read_value(flat[key], key, rules[key], kind, path) for key in rules if key in flat
     }
+    _check_pendulum(values, path)
+    return values
 
 
 def _rules(kind: str, sections: Mapping[str, Any]) -> dict[str, str]:
@@ -357,6 +364,18 @@ def _check_axis_complete(given: Mapping[str, Any], rules: dict[str, str], path: 
     if ("axis.pendulum_mass_kg" in given) != ("axis.pendulum_length_m" in given):
         raise InputError(
             f"{path}: a pendulum needs both axis.pendulum_mass_kg and axis.pendulum_length_m"
+        )
+
+
+def _check_pendulum(values: Mapping[str, Any], path: Path) -> None:
+    """No pendulum has less inertia than with all its mass in its centre of gravity."""
+    length_m = values.get("axis.pendulum_length_m", 0.0)
+    least = values.get("axis.pendulum_mass_kg", 0.0) * length_m**2
+    inertia = values.get("axis.inertia_kg_m2", math.inf)
+    if inertia < LEAST_OF_PENDULUM * least:
+        raise InputError(
+            f"{path}: 'axis.inertia_kg_m2' is that of all that turns, of the pendulum (mass times "
+            f"length squared, {least:.3g}) too, not {inertia:g}"
         )
 
 

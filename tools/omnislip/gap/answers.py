@@ -99,6 +99,8 @@ class News:
     share: float
     driven: bool
     """Whether the robot is driven in all directions."""
+    turned: bool = True
+    """Whether it is driven round."""
 
     @property
     def answers(self) -> bool:
@@ -198,7 +200,7 @@ def news_of(machine: Machine, runs: Sequence[Run], tracks: Sequence[_core.Track]
         if share > FOLLOWS:
             new.update(zip(own, _new(logged), strict=True))
     found = [new.get(k, np.zeros_like(run.command)) for k, run in enumerate(runs)]
-    return News(found if new else [], most, _driven(machine, tracks))
+    return News(found if new else [], most, *_driven(machine, tracks))
 
 
 def likelier_held(machine: Machine, runs: Sequence[Run], values: Array, noise: Noise) -> float:
@@ -356,12 +358,14 @@ def _means(values: Array, stride: int) -> Array:
     return np.lib.stride_tricks.sliding_window_view(values, stride, axis=0).mean(axis=-1)
 
 
-def _driven(machine: Machine, tracks: Sequence[_core.Track]) -> bool:
-    """Whether the robot moves in every direction of (x, y, a wheel's way round)."""
+def _driven(machine: Machine, tracks: Sequence[_core.Track]) -> tuple[bool, bool]:
+    """Whether the robot moves in every direction of (x, y, a wheel's way round), and round."""
     speed = np.concatenate([t.state.reshape(-1, t.filter_states)[:, 8:11] for t in tracks])
     speed = speed * [1.0, 1.0, machine.model.values["robot.wheel_distance_m"]]
-    least, *_, most = np.linalg.eigvalsh(speed.T @ speed)
-    return bool(least >= DRIVEN**2 * most)
+    squares = speed.T @ speed
+    least, *_, most = np.linalg.eigvalsh(squares)
+    enough = DRIVEN**2 * most
+    return bool(least >= enough), bool(squares[2, 2] >= enough)
 
 
 def _motion(states: Array) -> Array:

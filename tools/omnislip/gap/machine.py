@@ -8,12 +8,14 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from omnislip import _core
+from omnislip.gap.waves import waves_along
 from omnislip.model_file import Effect, Model, axis_names
 
 if TYPE_CHECKING:
@@ -60,6 +62,8 @@ TRANSLATING_UNITS = {
     "stiffness_nm_rad": "N/m",
     "damping_nm_s_rad": "N s/m",
 }
+OF_ITS_OWN_SIZE = ("mass_kg", "inertia_kg_m2", "duty", "angle_rad")
+"""Sizes that may be anything on an axis of grams or of tons, commanded in duty or in volt."""
 AXIS_COMMAND = 3.0
 """A command (V, A) that a limit worth looking for would clip."""
 AXIS_RESONANCE_RAD_S = 2 * math.pi * 50.0
@@ -71,8 +75,12 @@ OF_THE_BODY = ("kg", "N", "N s/m", "N s^2/m^2", "N/m")
 """Units of what is as much larger as the robot is heavier."""
 INERTIA = "kg m^2"
 PERIODIC_UNIT = "rad"
-NEEDS = {"pendulum_zero_error": "axis.pendulum_mass_kg"}
-"""Effects of what a machine may not have, and the key that says it has it."""
+PENDULUM = "axis.pendulum_mass_kg"
+NEEDS = {
+    "pendulum_zero_error": (PENDULUM,),
+    "payload": ("robot.mass_kg", "axis.mass_kg", PENDULUM),
+}
+"""Effects of what a machine may not have, and the keys of which one says that it has it."""
 PHASE = "phase_rad"
 CURVE = "contact_shape"
 """The effect that is another friction curve."""
@@ -93,6 +101,8 @@ have 0.64 there."""
 DROPOUT, SPEED_SHARES, STILL_RAD_S = "encoder_dropout", (0.25, 0.5, 0.7, 0.85, 0.95, 1.0), 1.0
 """Speeds from which an encoder may lose counts, as shares of the fastest that it shows; what counts
 as that of one which stands still in all logs."""
+COGGING, STRIBECK, PACES = "cogging", "stribeck_friction", (0.02, 0.08, 0.3)
+"""The last: shares of an axis' fastest speed."""
 # A size that is infinite when absent (stiffness, limit) is sought up to so many typical ones: a
 # gear ten times stiffer shows in no log and would be integrated in tiny steps.
 MOST_OF_ABSENT = 10.0
@@ -291,13 +301,16 @@ class Machine:
                 wheels = range(1, self.wheels + 1)
             elif self.wheels > 1 and entry["scope"] == "common or single":
                 wheels = (None, *range(1, self.wheels + 1))
-            if entry["name"] not in NEEDS or NEEDS[entry["name"]] in self.model.values:
+            needs = NEEDS.get(entry["name"])
+            if needs is None or any(key in self.model.values for key in needs):
                 found += [self._candidate(entry, wheel) for wheel in wheels]
         return [candidate for candidate in found if self._has_starts(candidate)]
 
     def candidates_for(self, runs: Sequence["Run"]) -> list[Candidate]:
         """Return the candidates with starts from what the runs show: speeds, currents, places."""
-        by = {DROPOUT: self._by_speed, CURRENT_LIMIT: self._by_current}
+        by = {DROPOUT: self._by_speed, CURRENT_LIMIT: self._by_current, COGGING: self._by_way}
+        if self.kind == "axis":
+            by[STRIBECK] = self._by_pace
         found = [by[c.effect](c, runs) if c.effect in by else c for c in self.candidates()]
         return [*found, *self.floor_candidates(runs)]
 
@@ -306,6 +319,17 @@ class Machine:
         speeds = [np.abs(np.diff(run.outputs[:, angle]) / np.diff(run.t_s)) for run in runs]
         fastest = max(float(np.nanpercentile(np.concatenate(speeds), 99.9)), STILL_RAD_S)
         return replace(candidate, starts=tuple({1: share * fastest} for share in SPEED_SHARES))
+
+    def _by_pace(self, candidate: Candidate, runs: Sequence["Run"]) -> Candidate:
+        """Start speeds above which an axis turns easier from shares of what it reaches."""
+        speeds = [np.abs(np.diff(run.outputs[:, 0]) / np.diff(run.t_s)) for run in runs]
+        fastest = float(np.nanpercentile(np.concatenate(speeds), 99.0))
+        if not fastest > 0.0:
+            return candidate
+        force, speed = candidate.parameters
+        speed = replace(speed, scale=PACES[0] * fastest)
+        starts = tuple({1: share * fastest} for share in PACES)
+        return replace(candidate, parameters=(force, speed), starts=starts)
 
     def _by_current(self, candidate: Candidate, runs: Sequence["Run"]) -> Candidate:
         """Start limits in proportion to what makes wheels slide, too, and where currents end.
@@ -326,6 +350,24 @@ class Machine:
             if all(abs(np.log(limit / other)) > LIMITS_APART for other in limits[:number])
         ]
         return replace(candidate, starts=tuple({0: limit} for limit in apart))
+
+    def _by_way(self, candidate: Candidate, runs: Sequence["Run"]) -> Candidate:
+        """Start waves along the way of an axis where its accelerations show them, too.
+
+        A screw, a belt, magnets or a motor behind a gear repeat with any length, not with a turn.
+        """
+        if self.kind != "axis":
+            return candidate
+        turns = "axis.inertia_kg_m2" in self.model.values
+        shown = waves_along(runs, turns)
+        starts = candidate.starts if turns else ()
+        phases = SHAPE_GRIDS[candidate.effect, PHASE]
+        starts += tuple({1: n, 2: phase} for n, phase in product(shown, phases))
+        force, waves, phase = candidate.parameters
+        most = max([waves.high, *(2.0 * n for n in shown)])
+        return replace(
+            candidate, parameters=(force, replace(waves, high=most), phase), starts=starts
+        )
 
     def clipped_at_a(self, runs: Sequence["Run"]) -> float | None:
         """Return where logged currents end, if a tenth of them do."""
@@ -514,6 +556,8 @@ class Machine:
         low, high = entry["low"], entry["high"]
         if entry["typical"] != 0:  # the catalogue's bounds are those of the nominal robot
             low, high = (end * self._size(effect, entry) for end in (low, high))
+        if self.kind == "axis" and entry["name"] in OF_ITS_OWN_SIZE:
+            low, high = (math.copysign(math.inf, end) if end else 0.0 for end in (low, high))
         if self.kind == "axis" and entry["name"] == "limit_a":
             low = 0.01 * scale  # the catalogue's bound is in ampere
         if not math.isfinite(entry["neutral"]) and entry["typical"] != 0:
@@ -601,7 +645,7 @@ class Machine:
             "limit_a": AXIS_COMMAND * gain,
             "viscous_friction_nm_s": viscous_size,
             "viscous_nm_s": viscous_size,
-            "mass_kg": 0.05 * inertia,
+            "mass_kg": 0.05 * (self.model.values.get(PENDULUM) or inertia),
             "inertia_kg_m2": 0.05 * inertia,
             "stiffness_nm_rad": reduced * AXIS_RESONANCE_RAD_S**2,
             "damping_nm_s_rad": 0.4 * reduced * AXIS_RESONANCE_RAD_S,  # damping ratio 0.2

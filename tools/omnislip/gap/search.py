@@ -32,6 +32,7 @@ from omnislip.gap.judge import (
     MOST_EFFECTS,
     Trial,
     beside_short_delay,
+    beside_turning,
     drop_needless,
     judge_candidate,
     no_more_than_chance,
@@ -48,8 +49,10 @@ from omnislip.gap.rivals import (
     RIVALS,
     Compared,
     curves_in,
+    drop_wandering,
     swap_effects,
     take_likeliest,
+    take_likeliest_friction,
     take_one_of_curve,
 )
 from omnislip.gap.screen import Screened, screen
@@ -244,6 +247,7 @@ def search(
         if curves_in(current) != curves:  # else they have been compared
             data, current = take_one_of_curve(data, current, neighbours, progress)
             curves = curves_in(current)
+        data, current = take_likeliest_friction(data, current, neighbours, tried, progress)
         taken = {effect.name for effect in current.hypothesis.effects}
         candidates = [floor.get(c.name, c) for c in (*candidates, *chosen) if c.name not in taken]
         vain = vain + 1 if set(current.hypothesis.parameters) == had else 0
@@ -256,13 +260,14 @@ def search(
     final = whole_numbers(data, final)
     known = compared if final is settled else None
     data, final, compared = take_likeliest(data, final, neighbours, tried, progress, known)
+    final, compared = drop_wandering(data, final, neighbours, progress, compared)
     progress("looking for what no effect explains")
     free = responses(data, final, dictionary(machine))
     leftover = find_leftover(data, final, free)
-    if leftover:
-        timed = beside_short_delay(data, final)
-        if timed is not final:
-            leftover = find_leftover(data, timed, responses(data, timed, dictionary(machine)))
+    for beside in (beside_short_delay, beside_turning):
+        freer = beside(data, final) if leftover else final
+        if freer is not final:
+            leftover = find_leftover(data, freer, responses(data, freer, dictionary(machine)))
     ladder = _ladder(data, base_values, final)
     selected = select_effects(data, final, free, compared)
     return Outcome(

@@ -6,7 +6,15 @@ import numpy as np
 from scipy.stats import binom, norm
 
 from omnislip.gap.inference import at_bound
-from omnislip.gap.judge import ALPHA, FRICTION_OVER_SLIP, SURE_GAIN, WITHIN_LAW, Trial, within_row
+from omnislip.gap.judge import (
+    ALPHA,
+    FRICTION_OVER_SLIP,
+    SURE_GAIN,
+    VARIES_SURELY,
+    WITHIN_LAW,
+    Trial,
+    within_row,
+)
 from omnislip.gap.leftover import Leftover
 from omnislip.gap.machine import CURVE
 from omnislip.gap.metrics import LEAST_EXCESS, REPEATED, GapTable
@@ -42,12 +50,11 @@ with nothing missing they told 0.01 of themselves at most, those of a supply tha
 0.29, of a marker on a mast 0.33. Currents are read at an instant, whose command no log has: just
 after a fast controller moved they told 0.07. More than half of the runs that hold disturbances
 have to be helped, two or more: some hardly excite what is missing."""
-VARIES, VARIES_SURELY = 1.0 / 3.0, 3.0
+VARIES = 1.0 / 3.0
 """Change of an effect's size from half second to half second, relative to itself, from which it is
-not what is there; and the inflation, 1 for white residuals, from which that is no chance. What is
-nearest to unknown effects varied by 0.1 to 0.8, and none of 37 was told by a change of less alone.
-Four of 50 right pairs varied by 0.19 to 0.26: beside lost counts, by a wheel's zero, another law.
-"""
+not what is there, where that is no chance. What is nearest to unknown effects varied by 0.1 to 0.8,
+and none of 37 was told by a change of less alone. Four of 50 right pairs varied by 0.19 to 0.26:
+beside lost counts, by a wheel's zero, another law."""
 UNSTEADY, UNSTEADY_LEAST = 0.1, 100.0
 """The same change, and what it leaves of the gain, from which the name carries a caution."""
 NAMELESS, NAMELESS_GAIN = 1.1, 50.0
