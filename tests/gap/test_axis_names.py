@@ -1,10 +1,8 @@
-"""What single axes lack: waves along a way, weights at a pendulum, laws of friction together.
+"""What single axes lack: waves along a way, weights at a pendulum.
 
 Made here, step by step (Heun, 0.1 ms), without the code of the plant:
 
-    M q'' = g u - e q' - b q' - m g l sin q - T sin(n q) - (S exp(-(q'/w)^2) + c load) sign q'
-
-with the load of a gear the larger of tau and the weight.
+    M q'' = g u - e q' - m g l sin q - T sin(n q)
 """
 
 from dataclasses import dataclass
@@ -38,21 +36,13 @@ class Missing:
 
     wave: float = 0.0
     waves_per_unit: float = 0.0
-    stribeck: float = 0.0
-    stribeck_speed: float = 1.0
-    by_load: float = 0.0
-    """Of the larger of motor torque and weight."""
     payload_kg: float = 0.0
 
 
 @numba.njit(cache=False)
 def _acceleration(q, v, u, c):
-    inertia, gain, emf, weight, wave, n, stribeck, at, by_load, slow = c
-    tau = gain * u - emf * v
-    hanging = weight * np.sin(q)
-    carried = max(abs(tau), abs(hanging))
-    dry = (stribeck * np.exp(-((v / at) ** 2)) + by_load * carried) * np.tanh(v / slow)
-    return (tau - hanging - wave * np.sin(n * q) - dry) / inertia
+    inertia, gain, emf, weight, wave, n = c
+    return (gain * u - emf * v - weight * np.sin(q) - wave * np.sin(n * q)) / inertia
 
 
 @numba.njit(cache=False)
@@ -88,10 +78,6 @@ def make_log(axis: dict[str, float], missing: Missing, seed: int, volt: float) -
         hanging_kg * length_m * GRAVITY_M_S2,
         missing.wave,
         missing.waves_per_unit,
-        missing.stribeck,
-        missing.stribeck_speed,
-        missing.by_load,
-        0.05 if turns else 1e-3,
     )
     place = _integrate(command, constants, round(ROW_S / FINE_S))
     place += (3e-4 if turns else 2e-5) * rng.standard_normal(len(place))
@@ -143,10 +129,3 @@ def test_a_weight_at_the_end_of_a_pendulum_is_a_payload(tmp_path):
     found = names(tmp_path, SERVO, Missing(payload_kg=0.1), 7.0)
     assert set(found) == {"payload"}
     assert found["payload"]["mass_kg"]["value"] == pytest.approx(0.1, rel=0.1)
-
-
-def test_two_laws_of_friction_are_told_from_others_that_stand_for_both(tmp_path):
-    missing = Missing(stribeck=0.03, stribeck_speed=1.2, by_load=0.2)
-    found = names(tmp_path, SERVO, missing, 9.0)
-    assert set(found) == {"stribeck_friction", "load_dependent_friction"}
-    assert found["load_dependent_friction"]["coefficient"]["value"] == pytest.approx(0.2, rel=0.15)

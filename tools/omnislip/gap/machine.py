@@ -101,8 +101,7 @@ have 0.64 there."""
 DROPOUT, SPEED_SHARES, STILL_RAD_S = "encoder_dropout", (0.25, 0.5, 0.7, 0.85, 0.95, 1.0), 1.0
 """Speeds from which an encoder may lose counts, as shares of the fastest that it shows; what counts
 as that of one which stands still in all logs."""
-COGGING, STRIBECK, PACES = "cogging", "stribeck_friction", (0.02, 0.08, 0.3)
-"""The last: shares of an axis' fastest speed."""
+COGGING = "cogging"
 # A size that is infinite when absent (stiffness, limit) is sought up to so many typical ones: a
 # gear ten times stiffer shows in no log and would be integrated in tiny steps.
 MOST_OF_ABSENT = 10.0
@@ -309,8 +308,6 @@ class Machine:
     def candidates_for(self, runs: Sequence["Run"]) -> list[Candidate]:
         """Return the candidates with starts from what the runs show: speeds, currents, places."""
         by = {DROPOUT: self._by_speed, CURRENT_LIMIT: self._by_current, COGGING: self._by_way}
-        if self.kind == "axis":
-            by[STRIBECK] = self._by_pace
         found = [by[c.effect](c, runs) if c.effect in by else c for c in self.candidates()]
         return [*found, *self.floor_candidates(runs)]
 
@@ -319,17 +316,6 @@ class Machine:
         speeds = [np.abs(np.diff(run.outputs[:, angle]) / np.diff(run.t_s)) for run in runs]
         fastest = max(float(np.nanpercentile(np.concatenate(speeds), 99.9)), STILL_RAD_S)
         return replace(candidate, starts=tuple({1: share * fastest} for share in SPEED_SHARES))
-
-    def _by_pace(self, candidate: Candidate, runs: Sequence["Run"]) -> Candidate:
-        """Start speeds above which an axis turns easier from shares of what it reaches."""
-        speeds = [np.abs(np.diff(run.outputs[:, 0]) / np.diff(run.t_s)) for run in runs]
-        fastest = float(np.nanpercentile(np.concatenate(speeds), 99.0))
-        if not fastest > 0.0:
-            return candidate
-        force, speed = candidate.parameters
-        speed = replace(speed, scale=PACES[0] * fastest)
-        starts = tuple({1: share * fastest} for share in PACES)
-        return replace(candidate, parameters=(force, speed), starts=starts)
 
     def _by_current(self, candidate: Candidate, runs: Sequence["Run"]) -> Candidate:
         """Start limits in proportion to what makes wheels slide, too, and where currents end.

@@ -2,14 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations
 
 from omnislip.gap.inference import Data, Evidence, Fit, check_unseen, fit, weigh
 from omnislip.gap.judge import (
     ALPHA,
     CURVES,
     FRICTION_OVER_SLIP,
-    MOST_EFFECTS,
     VARIES_SURELY,
     WANDERS,
     WEAK,
@@ -25,18 +23,6 @@ from omnislip.gap.screen import screen
 from omnislip.gap.settle import Progress, likelihood_judges, log_posterior, settle
 from omnislip.gap.side_by_side import side_by_side
 
-FRICTION, MOST_LAWS = (
-    (
-        "coulomb_friction",
-        "viscous_friction_error",
-        "asymmetric_friction",
-        "stribeck_friction",
-        "load_dependent_friction",
-        "quadratic_wheel_drag",
-    ),
-    3,
-)
-"""Laws of the friction of a shaft, and how many may stand for each other together."""
 RIVALS = 4
 """Of an effect that are refitted in its place."""
 RIVAL_MARGIN, NEARLY = 10.0, 0.01
@@ -127,66 +113,6 @@ def take_one_of_curve(
         return own
     neighbours[name] = [known[other] for other in CURVES]
     return best
-
-
-def take_likeliest_friction(
-    data: Data,
-    fitted: Fit,
-    neighbours: dict[str, list[Candidate]],
-    tried: int,
-    progress: Progress,
-) -> tuple[Data, Fit]:
-    """Put other laws of friction in the place of those of an axis where they are surely likelier.
-
-    No exchange of one by one leads there: in the place of Stribeck's and a load dependent friction
-    Coulomb's explains most, and what it leaves is none of them. An axis is replayed fast enough to
-    try any three together, each from the best of those with one less, and of the best of all each
-    by its own noise, in which every law has to pass as any effect has.
-    """
-    machine, bare = data.machine, fitted.hypothesis
-    here = frozenset(effect.effect for effect in bare.effects) & set(FRICTION)
-    if machine.kind != "axis" or not here:
-        return data, fitted
-    progress("comparing laws of friction")
-    for index, effect in reversed(list(enumerate(bare.effects))):
-        if effect.effect in FRICTION:
-            bare = bare.without(index)
-    known = {c.effect: c for c in machine.candidates_for(data.runs)}
-    found = {frozenset[str](): fit(data, bare)}
-
-    def with_all(laws: frozenset[str]) -> Fit:
-        parent = min((laws - {law} for law in laws), key=lambda some: found[some].objective)
-        [last] = laws - parent
-        return refit_each(data, found[parent], screen(data, found[parent], [known[last]]))[0]
-
-    for count in range(1, min(MOST_LAWS, MOST_EFFECTS - len(bare.effects)) + 1):
-        sets = [frozenset(laws) for laws in combinations(FRICTION, count)]
-        found |= dict(zip(sets, side_by_side(with_all, sets), strict=True))
-
-    def cost(laws: frozenset[str]) -> float:
-        one = found[laws]
-        return one.objective + RIVAL_MARGIN * len(one.hypothesis.x)
-
-    others = sorted((laws for laws in found if laws and laws != here), key=cost)[:RIVALS]
-    best, own = (data, fitted), _surely(data, fitted)
-    for laws in others:
-        try:
-            other = _with_own_noise(data, found[laws])
-        except RunawayError:
-            continue
-        likelihood = _surely(*other)
-        if likelihood > own and drop_needless(*other, tried) is other[1]:
-            best, own = other, likelihood
-    if best[1] is not fitted:
-        for effect in best[1].hypothesis.effects:
-            if effect.effect in FRICTION:
-                neighbours[effect.name] = [known[law] for law in FRICTION]
-    return best
-
-
-def _surely(data: Data, fitted: Fit) -> float:
-    """Return the log posterior less what every parameter has to gain to be told from chance."""
-    return log_posterior(data, fitted) - 0.5 * RIVAL_MARGIN * len(fitted.hypothesis.x)
 
 
 def curves_in(fitted: Fit) -> set[str]:

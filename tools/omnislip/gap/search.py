@@ -52,7 +52,6 @@ from omnislip.gap.rivals import (
     drop_wandering,
     swap_effects,
     take_likeliest,
-    take_likeliest_friction,
     take_one_of_curve,
 )
 from omnislip.gap.screen import Screened, screen
@@ -247,7 +246,6 @@ def search(
         if curves_in(current) != curves:  # else they have been compared
             data, current = take_one_of_curve(data, current, neighbours, progress)
             curves = curves_in(current)
-        data, current = take_likeliest_friction(data, current, neighbours, tried, progress)
         taken = {effect.name for effect in current.hypothesis.effects}
         candidates = [floor.get(c.name, c) for c in (*candidates, *chosen) if c.name not in taken]
         vain = vain + 1 if set(current.hypothesis.parameters) == had else 0
