@@ -112,10 +112,14 @@ def test_waves_along_a_way_show_in_accelerations(tmp_path, waves_per_m):
 
 
 def test_an_axis_that_does_not_move_shows_no_waves(tmp_path):
+    """Then nothing says where to look for any."""
     model, _ = files(tmp_path, SLIDE, Missing(), 3.0, runs=0)
-    still = make_run(Machine(read_model(model)), make_log(SLIDE, Missing(), 0, 3.0))
+    machine = Machine(read_model(model))
+    still = make_run(machine, make_log(SLIDE, Missing(), 0, 3.0))
+    assert "cogging" in {c.effect for c in machine.candidates_for([still])}
     still.outputs[:] = 0.0
     assert waves.waves_along([still], turns=False) == []
+    assert "cogging" not in {c.effect for c in machine.candidates_for([still])}
 
 
 def test_the_waves_of_a_slide_are_named_with_their_length(tmp_path):

@@ -309,7 +309,7 @@ class Machine:
         """Return the candidates with starts from what the runs show: speeds, currents, places."""
         by = {DROPOUT: self._by_speed, CURRENT_LIMIT: self._by_current, COGGING: self._by_way}
         found = [by[c.effect](c, runs) if c.effect in by else c for c in self.candidates()]
-        return [*found, *self.floor_candidates(runs)]
+        return [c for c in (*found, *self.floor_candidates(runs)) if c.starts]
 
     def _by_speed(self, candidate: Candidate, runs: Sequence["Run"]) -> Candidate:
         angle = (candidate.wheel or 1) - 1
