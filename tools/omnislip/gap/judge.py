@@ -74,7 +74,7 @@ VARIES_SURELY = 3.0
 WEAK, WANDERS = 0.01, 0.5
 """Share of what is named that a weak effect explains; change of its size from half second to half
 second, relative to itself, from which it is none. Of 379 names none that was right varied by more
-than 0.34, and the false ones that were this weak by 0.85 and 0.87."""
+than 0.34; two false ones that were this weak by 0.85 and 0.87."""
 
 
 @dataclass(frozen=True)
@@ -338,11 +338,9 @@ def beside_turning(data: Data, fitted: Fit) -> Fit:
 
     What that explains is no effect to be named, and what else explains it is none either.
     """
-    have = {effect.effect for effect in fitted.hypothesis.effects}
-    candidates = {c.effect: c for c in data.machine.candidates()}
-    if data.turned or have & {*TURNING} or TURNING[0] not in candidates:
+    if data.turned or any(effect.effect in TURNING for effect in fitted.hypothesis.effects):
         return fitted
-    inertia = candidates[TURNING[0]]
+    inertia = next(c for c in data.machine.candidates() if c.effect == TURNING[0])
     return fit(data, fitted.hypothesis.with_effect(inertia, [inertia.parameters[0].scale]))
 
 

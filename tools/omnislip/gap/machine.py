@@ -62,7 +62,7 @@ TRANSLATING_UNITS = {
     "stiffness_nm_rad": "N/m",
     "damping_nm_s_rad": "N s/m",
 }
-OF_ITS_OWN_SIZE = ("mass_kg", "inertia_kg_m2", "duty", "angle_rad")
+OF_ITS_OWN_SIZE = ("mass_kg", "inertia_kg_m2", "duty")
 """Sizes that may be anything on an axis of grams or of tons, commanded in duty or in volt."""
 AXIS_COMMAND = 3.0
 """A command (V, A) that a limit worth looking for would clip."""
