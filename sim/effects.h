@@ -63,6 +63,7 @@ enum Hook : unsigned {
     kBody = 1u << 6,
     kSensor = 1u << 7,
     kMotion = 1u << 8,
+    kCounted = 1u << 12,
     /* Marks of effects: what shaft angles move, what goes with where a robot is or which way it is
      * turned; of sensors, what encoders show of speeds. */
     kByAngle = 1u << 9,
@@ -183,6 +184,12 @@ struct MotionTerm {
     S vx_m_s, vy_m_s, omega_rad_s; /* in: as the encoders claim; out: of the body */
 };
 
+template <class S, int N>
+struct CountedTerm {
+    S rate_rad_s[N]; /* in: as an encoder counts; out: of its wheel */
+    S told_rad_s[N]; /* what the other wheels say of it, NaN where they cannot */
+};
+
 /* Every effect derives from this: hooks it does not define do nothing. */
 struct Effect {
     template <class S, int N>
@@ -203,6 +210,8 @@ struct Effect {
     static void sensor(SensorTerm<S, N> &, const Values<S> &) {}
     template <class S>
     static void motion(MotionTerm<S> &, const Values<S> &) {}
+    template <class S, int N>
+    static void counted(CountedTerm<S, N> &, const Values<S> &) {}
 };
 
 /* ------------------------------------------------------------------ supply, driver and motor */
@@ -1480,8 +1489,8 @@ struct EncoderDropout : Effect {
                                         "sensor",
                                         "bandwidth of encoder or counter",
                                         Scope::kSingle,
-                                        kRobot,
-                                        kSensor | kCounts,
+                                        kRobot | kOdometry,
+                                        kSensor | kCounts | kCounted,
                                         2,
                                         {{"fraction", "1", 0.0, 0.0, 1.0, 0.05},
                                          {"speed_rad_s", "rad/s", 150.0, 0.0, 2000.0, 0.0}}};
@@ -1491,6 +1500,22 @@ struct EncoderDropout : Effect {
         for (int i = 0; i < N; ++i) {
             const S kept = select(abs(c.speed_rad_s[i]) > p(1, i), S(1.0) - p(0, i), S(1.0));
             c.encoder_rate[i] = c.encoder_rate[i] * kept;
+        }
+    }
+    /* The other way round. A wheel just above the speed counts as a slower one below it: between
+     * the two the other wheels tell, or the rates are parted in the middle. */
+    template <class S, int N>
+    static void counted(CountedTerm<S, N> &c, const Values<S> &p) {
+        using std::abs;
+        const S one(1.0), half(0.5), least_kept(0.01);
+        for (int i = 0; i < N; ++i) {
+            const S kept = select(p(0, i) < one - least_kept, one - p(0, i), least_kept);
+            const S shown = abs(c.rate_rad_s[i]), told = abs(c.told_rad_s[i]);
+            const S amid = select(shown > half * (one + kept) * p(1, i), kept, one);
+            const S nearer = select(told > half * (shown + shown / kept), kept, one);
+            const S either = select(told == told, nearer, amid);
+            const S slow_or_either = select(shown > kept * p(1, i), either, one);
+            c.rate_rad_s[i] = c.rate_rad_s[i] / select(shown > p(1, i), kept, slow_or_either);
         }
     }
 };

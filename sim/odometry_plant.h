@@ -30,6 +30,7 @@ inline namespace OMNISLIP_INSTRUCTION_SET {
 
 constexpr int kMostWheels = 8;
 constexpr double kParallel = 1e-12; /* squares of the sines of the angles between the wheels */
+constexpr double kRedundant = 0.05; /* share of a wheel's rate that shows beside the others' */
 
 constexpr BaseParameter kOdometryBase[] = {
     {"odometry.wheel_radius_m", "m", 0.05},       {"odometry.wheel_distance_m", "m", 0.2},
@@ -76,11 +77,20 @@ class OdometryPlant {
 
     /* Velocity of the body over a step under the mean encoder rates u [kMotors]. */
     void begin_step(const S *, const S *u, double, Step &step) const {
+        CountedTerm<S, kMotors> wheels;
+        for (int i = 0; i < kMostWheels; ++i)
+            wheels.rate_rad_s[i] = u[i] / sensor_.encoder_rate[i];
+        if (active_.use(kCounted)) {
+            tell_by_others(wheels);
+            active_.apply(kCounted, [&](auto effect, const Values<S> &values) {
+                decltype(effect)::counted(wheels, values);
+            });
+        }
         MotionTerm<S> term{S(0.0), S(0.0), S(0.0)};
         for (int i = 0; i < kMostWheels; ++i) {
-            term.vx_m_s = term.vx_m_s + inverse_[0][i] * u[i];
-            term.vy_m_s = term.vy_m_s + inverse_[1][i] * u[i];
-            term.omega_rad_s = term.omega_rad_s + inverse_[2][i] * u[i];
+            term.vx_m_s = term.vx_m_s + inverse_[0][i] * wheels.rate_rad_s[i];
+            term.vy_m_s = term.vy_m_s + inverse_[1][i] * wheels.rate_rad_s[i];
+            term.omega_rad_s = term.omega_rad_s + inverse_[2][i] * wheels.rate_rad_s[i];
         }
         active_.apply(kMotion, [&](auto effect, const Values<S> &values) {
             decltype(effect)::motion(term, values);
@@ -106,6 +116,8 @@ class OdometryPlant {
         term.gyro_rad_s = S(0.0);
         for (int i = 0; i < kMostWheels; ++i)
             term.encoder_rate[i] = S(1.0);
+        const S standing[kMotors] = {};
+        term.speed_rad_s = standing;
         active_.apply(kSensor, [&](auto effect, const Values<S> &values) {
             decltype(effect)::sensor(term, values);
         });
@@ -125,8 +137,29 @@ class OdometryPlant {
     }
 
   private:
+    /* Rate of each wheel by the least squares solution of the others: with H = J (J'J)^-1 J' and
+     * rim speeds r the residual r - H r of wheel i is 1 - H_ii times the one without it. */
+    void tell_by_others(CountedTerm<S, kMotors> &wheels) const {
+        for (int i = 0; i < kMostWheels; ++i) {
+            S hub_rad_s(0.0), own(0.0);
+            for (int k = 0; k < kMostWheels; ++k) {
+                S share(0.0);
+                for (int a = 0; a < 3; ++a)
+                    share = share + jacobian_[i][a] * inverse_[a][k];
+                hub_rad_s = hub_rad_s + share / c_.wheel_radius_m[i] * wheels.rate_rad_s[k];
+                own = k == i ? share / c_.wheel_radius_m[i] : own;
+            }
+            const S left = S(1.0) - own;
+            wheels.told_rad_s[i] =
+                select(left > S(kRedundant), (hub_rad_s - own * wheels.rate_rad_s[i]) / left,
+                       S(std::numeric_limits<double>::quiet_NaN()));
+        }
+    }
+
     void read_encoder_rates() {
         sensor_.gyro_rad_s = sensor_.x_m = sensor_.y_m = sensor_.theta_rad = S(0.0);
+        const S standing[kMotors] = {};
+        sensor_.speed_rad_s = standing;
         active_.apply(kSensor, [&](auto effect, const Values<S> &values) {
             decltype(effect)::sensor(sensor_, values);
         });
@@ -136,7 +169,8 @@ class OdometryPlant {
     void solve_geometry() {
         using std::cos;
         using std::sin;
-        S j[kMostWheels][3], m[3][3];
+        S(&j)[kMostWheels][3] = jacobian_;
+        S m[3][3];
         for (auto &row : m)
             for (S &entry : row)
                 entry = S(0.0);
@@ -166,7 +200,7 @@ class OdometryPlant {
             for (int i = 0; i < kMostWheels; ++i) {
                 const S row =
                     adjugate[a][0] * j[i][0] + adjugate[a][1] * j[i][1] + adjugate[a][2] * j[i][2];
-                inverse_[a][i] = row / determinant * c_.wheel_radius_m[i] / sensor_.encoder_rate[i];
+                inverse_[a][i] = row / determinant * c_.wheel_radius_m[i];
             }
         }
     }
@@ -188,7 +222,7 @@ class OdometryPlant {
 
     Constants<S, kMotors> c_;
     SensorTerm<S, kMotors> sensor_;
-    S inverse_[3][kMostWheels];
+    S jacobian_[kMostWheels][3], inverse_[3][kMostWheels];
     ActiveEffects<S, kMotors, kOdometry> active_;
 };
 

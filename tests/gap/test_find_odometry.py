@@ -26,8 +26,14 @@ counts_per_rev = {COUNTS}
 """
 
 
-def make_log(seed, slip=0.0, delay_s=0.0, seconds=30.0, series=""):
-    """A robot that drives smoothly at random; integrated 50 times a row, in world coordinates."""
+def make_log(
+    seed, slip=0.0, delay_s=0.0, seconds=30.0, series="", drift=0.0, lost=0.0, slack_s2_m=0.0
+):
+    """A robot that drives smoothly at random; integrated 50 times a row, in world coordinates.
+
+    `drift` of its speed goes along the world's y; the second encoder shows less by the share `lost`
+    above 2.5 rad/s; rims move less by a share of `slack_s2_m` times what they accelerate.
+    """
     rng = np.random.default_rng(seed)
     fine_s = ROW_S / FINE
     t_s = np.arange(0.0, seconds + delay_s, fine_s)
@@ -36,9 +42,14 @@ def make_log(seed, slip=0.0, delay_s=0.0, seconds=30.0, series=""):
     claimed = np.array([[0.15], [0.15], [0.3]]) * waves * np.clip(t_s - delay_s - 0.5, 0, 1)
     g = np.deg2rad(ANGLES_DEG)
     jacobian = np.stack([-np.sin(g), np.cos(g), np.full(4, DISTANCE_M)], axis=1)
-    angles = np.cumsum(jacobian @ claimed, axis=1) * fine_s / RADIUS_M
-    heading = np.cumsum(claimed[2]) * fine_s
-    velocity = (claimed[0] + 1j * (1 - slip) * claimed[1]) * np.exp(1j * heading)
+    rims = jacobian @ claimed
+    moved = rims * (1 - slack_s2_m * np.abs(np.gradient(rims, fine_s, axis=1)))
+    true = np.linalg.pinv(jacobian) @ moved if slack_s2_m else claimed
+    rims[1] *= 1 - lost * (np.abs(rims[1]) > 2.5 * RADIUS_M)
+    angles = np.cumsum(rims, axis=1) * fine_s / RADIUS_M
+    heading = np.cumsum(true[2]) * fine_s
+    velocity = (true[0] + 1j * (1 - slip) * true[1]) * np.exp(1j * heading)
+    velocity += 1j * drift * np.hypot(claimed[0], claimed[1])
     place = np.cumsum(velocity) * fine_s
     rows = np.arange(0, round(seconds / fine_s), FINE)
     shown = rows  # the camera shows this moment, the encoders one `delay_s` later
@@ -86,6 +97,36 @@ def test_latency_is_named_and_sized(tmp_path, model):
     findings = find(tmp_path, model, [make_log(seed, delay_s=0.14) for seed in range(6)])
     assert named(findings) == ["pose_latency"]
     assert findings.outcome.selected[0].values[0] == pytest.approx(0.14, abs=0.01)
+
+
+def test_an_encoder_that_loses_counts_is_named_with_its_speed(tmp_path, model):
+    findings = find(tmp_path, model, [make_log(seed, lost=0.2) for seed in range(6)])
+    assert named(findings) == ["encoder_dropout (wheel 2)"]
+    fraction, speed_rad_s = findings.outcome.selected[0].values
+    assert fraction == pytest.approx(0.2, abs=0.01)
+    # A row of 0.1 s is partly above the speed, and what either side may show is parted amid.
+    assert speed_rad_s == pytest.approx(2.5, abs=0.15)
+
+
+@pytest.mark.parametrize(
+    "hidden, equation, size",
+    [
+        (
+            {"drift": 0.08},
+            "floor/speed_y, depending on speed",
+            r"([-+.0-9]+) u, u = speed / \(([.0-9]+)",
+        ),
+        ({"slack_s2_m": 0.3}, "every wheel/rim speed, depending on speed, as it changes", None),
+    ],
+)
+def test_what_no_effect_of_an_odometry_is_gets_its_law(tmp_path, model, hidden, equation, size):
+    """A carpet that carries the robot along, and wheels that slip as they accelerate."""
+    findings = find(tmp_path, model, [make_log(seed, **hidden) for seed in range(6)])
+    assert findings.verdict == "unknown_effect"
+    assert equation in findings.sentence.partition("Nearest")[0]
+    if size:
+        [(slope, unit)] = re.findall(size, findings.sentence)
+        assert float(slope) / float(unit) == pytest.approx(hidden["drift"], rel=0.05)
 
 
 def two_wheeled(seed, loss=0.0, radius=1.0):

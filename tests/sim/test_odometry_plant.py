@@ -140,3 +140,41 @@ def test_camera_turned_against_the_world():
     true = arc((0.2, 0.1, 0.5), t_s)
     place = (true[:, 0] + 1j * true[:, 1]) * np.exp(0.3j)
     np.testing.assert_allclose(pose[:, 0] + 1j * pose[:, 1], place, atol=2e-7)
+
+
+def with_lost_counts(lost, speed_rad_s, rates, angles_deg=OMNI4):
+    """Body velocity where the first wheel's encoder shows `rates[0]`, less above a speed."""
+    effects = [("encoder_dropout", "fraction", lost, 1)]
+    effects += [("encoder_dropout", "speed_rad_s", speed_rad_s, 1)]
+    values = parameter_set("odometry", base(angles_deg), effects)
+    padded = np.concatenate([rates, np.zeros(8 - len(rates))])
+    return _core.Engine("odometry").derivatives(values, np.zeros((1, 3)), padded[None])[0]
+
+
+@given(
+    st.floats(0.05, 0.6),
+    st.floats(2.0, 9.0),
+    st.floats(0.3, 2.0).filter(lambda share: abs(share - 1) > 1e-6),
+    st.sampled_from([-1.0, 1.0]),
+)
+def test_lost_counts_are_given_back_where_the_other_wheels_miss_them(
+    lost, speed_rad_s, share, direction
+):
+    """At any speed: one above the threshold shows what one below it shows that loses none."""
+    velocity = np.array([0.2, -0.1, 0.3])
+    velocity *= direction * share * speed_rad_s / rates_of(velocity)[0]
+    rates = rates_of(velocity)[:4]
+    if share > 1:
+        rates[0] *= 1 - lost
+    np.testing.assert_allclose(with_lost_counts(lost, speed_rad_s, rates), velocity, atol=1e-9)
+
+
+@pytest.mark.parametrize("share, lost", [(0.6, False), (0.8, False), (0.95, True), (1.2, True)])
+def test_three_wheels_do_not_tell_so_the_rates_are_parted_in_the_middle(share, lost):
+    """20 % lost above 5 rad/s: 4 to 5 rad/s are shown on both sides of it, 4.5 amid them."""
+    angles = [300.0, 60.0, 180.0]
+    rates = np.array([5.0 * share, 1.0, -2.0])
+    true = rates / [0.8 if lost else 1.0, 1.0, 1.0]
+    expected = np.linalg.solve(jacobian(angles), true * RADIUS_M)
+    found = with_lost_counts(0.2, 5.0, rates, angles)
+    np.testing.assert_allclose(found, expected, atol=1e-12)

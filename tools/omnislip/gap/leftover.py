@@ -64,6 +64,11 @@ UNKNOWN_SHARE, CURVE_SHARE = 0.01, 1e-3
 """Square of how far the plant may be off an effect's shape, and off the friction curve's, which has
 parameters enough for it. A term that gains more than they leave makes the verdict unknown: names
 are right in place perhaps, but wrong in shape."""
+ALONG_BOTH = {
+    "body/force_x": ("body/force", "body/force_y"),
+    "floor/speed_x": ("floor/speed", "floor/speed_y"),
+}
+"""Equations along x that are tried together with those along y, and as what."""
 IN_ITS_PLACE = 0.5
 """Share of an effect's gain that a term must take over to stand in its place."""
 MOST_SHAPES = 5
@@ -373,8 +378,9 @@ def _groups(terms: Sequence[Term]) -> dict[tuple[str, str], list[int]]:
     for k, term in enumerate(terms):
         if term.jointly:
             groups.setdefault((term.equation, term.jointly), []).append(k)
-        if term.equation == "body/force_x":
-            groups["body/force", term.dependence] = [k, *groups["body/force_y", term.dependence]]
+        if term.equation in ALONG_BOTH:
+            both, other = ALONG_BOTH[term.equation]
+            groups[both, term.dependence] = [k, *groups[other, term.dependence]]
     return groups
 
 

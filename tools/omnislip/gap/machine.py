@@ -312,8 +312,14 @@ class Machine:
         return [c for c in (*found, *self.floor_candidates(runs)) if c.starts]
 
     def _by_speed(self, candidate: Candidate, runs: Sequence["Run"]) -> Candidate:
-        angle = (candidate.wheel or 1) - 1
-        speeds = [np.abs(np.diff(run.outputs[:, angle]) / np.diff(run.t_s)) for run in runs]
+        wheel = (candidate.wheel or 1) - 1
+        if self.kind == "odometry":
+            speeds = [np.abs(run.command[:, wheel]) for run in runs]
+        else:
+            angles = [run.outputs[:, wheel] for run in runs]
+            speeds = [
+                np.abs(np.diff(a) / np.diff(r.t_s)) for a, r in zip(angles, runs, strict=True)
+            ]
         fastest = max(float(np.nanpercentile(np.concatenate(speeds), 99.9)), STILL_RAD_S)
         return replace(candidate, starts=tuple({1: share * fastest} for share in SPEED_SHARES))
 

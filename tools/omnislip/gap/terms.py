@@ -5,12 +5,13 @@ state, command and time (leftover.py judges them). Most are laws that robots hav
 of the catalogue is; the others are the shapes that effects have, for what is nearly one of them.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import uniform_filter1d
 from scipy.signal import lfilter
 
 from omnislip.gap.answers import CHANCE_S
@@ -28,6 +29,9 @@ BEYOND_PERCENT = (75.0, 95.0)
 EDGE_M, SLOW_YAW_RAD_S = 0.02, 0.05
 SMOOTHED = 9
 """Rows over which a rate of change is taken."""
+CHANGE_S, RIM_SHARES = 0.1, (0.3, 0.5, 0.7)
+"""Of an odometry: over which its accelerations are taken, and beyond which speeds of a wheel's own
+it may slip."""
 EVERYWHERE = {"every wheel": (0, 1, 2, 3), **{f"wheel/{i + 1}": (i,) for i in range(4)}}
 BEATING = ("world/force_x", "world/force_y", "every wheel/torque")
 
@@ -76,11 +80,7 @@ class Term:
 def dictionary(machine: Machine) -> list[Term]:
     """Return the terms that are tried for a kind of machine."""
     if machine.kind == "odometry":
-        return [
-            Term(f"odometry/{part}", name, (0, 1, 2), _of_odometry(machine, index, shape))
-            for index, part in enumerate(("forward", "lateral", "turning"))
-            for name, shape in MOTION_SHAPES.items()
-        ]
+        return _odometry_terms(machine)
     if machine.kind == "axis":
         return [Term("axis/force", name, (0,), shape) for name, shape in SHAFT_SHAPES.items()]
     turn = {"the wheel angle": 1.0 / float(machine.model.values["motor.gear_ratio"])}
@@ -671,7 +671,17 @@ def in_world(axis: str, shape: Callable[[Array, Array], Array]) -> Callable[...,
     return pushed
 
 
-MOTION_SHAPES: dict[str, Callable[[Array, Array], Array]] = {
+OfMotion = Callable[[Array, Array], Array]
+"""(velocity (rows, 3) along, across, turning as encoders have it, time (rows,)) -> (rows,)"""
+
+
+def _changing(speed: Array, t: Array) -> Array:
+    """Return how fast a speed (rows,) changes, over a time that noise leaves alone."""
+    rows = max(1, round(CHANGE_S / float(np.median(np.diff(t)))))
+    return np.abs(np.gradient(uniform_filter1d(speed, rows), t))
+
+
+MOTION_SHAPES: dict[str, OfMotion] = {
     "constant": lambda v, t: np.ones(len(v)),
     "speed along": lambda v, t: v[:, 0],
     "speed across": lambda v, t: v[:, 1],
@@ -689,26 +699,85 @@ MOTION_SHAPES: dict[str, Callable[[Array, Array], Array]] = {
     "time and turning": lambda v, t: t * v[:, 2],
 }
 
+DRIFT_SHAPES: dict[str, OfMotion] = {
+    "constant": lambda v, t: np.ones(len(v)),
+    "speed": lambda v, t: np.hypot(v[:, 0], v[:, 1]),
+    "size of the turning": lambda v, t: np.abs(v[:, 2]),
+}
+"""Of what is fixed to the world: a floor that moves, the nap of a carpet."""
 
-def _of_odometry(
-    machine: Machine, part: int, shape: Callable[[Array, Array], Array]
-) -> Callable[..., Array]:
-    """A velocity of the body (forward, lateral, turning) beside the one of the encoders.
 
-    `shape` sees that one (rows, 3), as the believed geometry has it.
-    """
+def _beyond(share: float) -> Callable[[Array, Array, Array], Array]:
+    return lambda u, v, t: u * (np.abs(u) > share * np.max(np.abs(u)))
+
+
+RIM_SHAPES: dict[str, Callable[[Array, Array, Array], Array]] = {
+    "size of its speed": lambda u, v, t: np.abs(u),
+    "speed squared, against it": lambda u, v, t: u * np.abs(u),
+    "speed while the robot turns left": lambda u, v, t: u * (v[:, 2] > 0),
+    "speed, as it changes": lambda u, v, t: u * _changing(u, t),
+    **{f"speed beyond {share:.0%} of its fastest": _beyond(share) for share in RIM_SHARES},
+}
+"""Of a wheel that slips or whose encoder errs: (rate (rows,), velocity (rows, 3), time (rows,)) ->
+(rows,)"""
+
+
+def of_encoders(machine: Machine) -> Array:
+    """Return the velocity (wheels, 3) of an odometry's body per rate of each of its encoders."""
     wheels, engine = machine.wheels, machine.engine
     unit = np.zeros((wheels, engine.motors))
     unit[:, :wheels] = np.eye(wheels)
-    per_rate = engine.derivatives(machine.believed, np.zeros((wheels, 3)), unit)
+    return engine.derivatives(machine.believed, np.zeros((wheels, 3)), unit)
 
-    def pushed(x: Array, u: Array, t: Array, state: int) -> Array:
-        size = shape(u @ per_rate, t)
-        if part == 2 or state == 2:
-            return size if part == state else np.zeros(len(x))
-        heading = x[:, 2]
-        along = (np.cos(heading), np.sin(heading))
-        across = (-np.sin(heading), np.cos(heading))
-        return size * (along, across)[part][state]
 
-    return pushed
+def _odometry_terms(machine: Machine) -> list[Term]:
+    """Return velocities beside those of the encoders: of the body, the floor, each wheel's rim."""
+    per_rate = of_encoders(machine)
+    wheels = range(machine.wheels)
+
+    def term(
+        equation: str, name: str, velocity: Callable[[Array, Array], Array], fixed: bool = False
+    ) -> Term:
+        """A velocity (rows, 3) by (command, time), along the axes of the body or (fixed) of the
+        world."""
+
+        def pushed(x: Array, u: Array, t: Array, state: int) -> Array:
+            v = velocity(u, t)
+            if state == 2 or fixed:
+                return v[:, state]
+            return turned(x[:, 2], v[:, :2])[:, state]
+
+        return Term(equation, name, (0, 1, 2), pushed)
+
+    def along(part: int, shape: OfMotion) -> Callable[[Array, Array], Array]:
+        return lambda u, t: np.eye(3)[part] * shape(u @ per_rate, t)[:, None]
+
+    def of_rims(
+        own: Sequence[int], shape: Callable[[Array, Array, Array], Array]
+    ) -> Callable[[Array, Array], Array]:
+        def velocity(u: Array, t: Array) -> Array:
+            v = u @ per_rate
+            return np.stack([shape(u[:, i], v, t) for i in own], axis=1) @ per_rate[own]
+
+        return velocity
+
+    motion = [
+        term(f"odometry/{equation}", name, along(part, shape))
+        for part, equation in enumerate(("forward", "lateral", "turning"))
+        for name, shape in MOTION_SHAPES.items()
+    ]
+    drift = [
+        term(f"floor/speed_{axis}", name, along(part, shape), fixed=True)
+        for part, axis in enumerate("xy")
+        for name, shape in DRIFT_SHAPES.items()
+    ]
+    rims = {"every wheel": list(wheels), **{f"wheel/{i + 1}": [i] for i in wheels}}
+    return [
+        *motion,
+        *drift,
+        *(
+            term(f"{where}/rim speed", name, of_rims(own, shape))
+            for where, own in rims.items()
+            for name, shape in RIM_SHAPES.items()
+        ),
+    ]

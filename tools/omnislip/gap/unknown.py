@@ -33,6 +33,7 @@ from omnislip.gap.terms import (
     GYRO_SHAPES,
     Quantity,
     against_rotation,
+    of_encoders,
     roller_friction,
     swings,
 )
@@ -510,25 +511,50 @@ def _axis_equations(machine: Machine, values: Array) -> list[Equation]:
 
 
 def _odometry_equations(machine: Machine) -> list[Equation]:
-    wheels, engine = machine.wheels, machine.engine
-    unit = np.zeros((wheels, engine.motors))
-    unit[:, :wheels] = np.eye(wheels)
-    per_rate = engine.derivatives(machine.believed, np.zeros((wheels, 3)), unit)
-    parts = (("speed along", "m/s"), ("speed across", "m/s"), ("turning", "rad/s"))
-    quantities = (
-        *(
-            Quantity(name, own, lambda x, u, t, i, k=k: u[:, :wheels] @ per_rate[:, k])
-            for k, (name, own) in enumerate(parts)
-        ),
+    per_rate = of_encoders(machine)
+    wheels = machine.wheels
+    radius_m = float(machine.model.values["odometry.wheel_radius_m"])
+
+    def of_body(name: str, unit: str, of: Callable[[Array], Array]) -> Quantity:
+        return Quantity(name, unit, lambda x, u, t, i: of(u[:, :wheels] @ per_rate))
+
+    turning = of_body("turning", "rad/s", lambda v: v[:, 2])
+    body = (
+        of_body("speed along", "m/s", lambda v: v[:, 0]),
+        of_body("speed across", "m/s", lambda v: v[:, 1]),
+        turning,
         TIME,
     )
-    along = lambda x: {0: np.cos(x[:, 2]), 1: np.sin(x[:, 2])}  # noqa: E731
-    across = lambda x: {0: -np.sin(x[:, 2]), 1: np.cos(x[:, 2])}  # noqa: E731
+    floor = (of_body("speed", "m/s", lambda v: np.hypot(v[:, 0], v[:, 1])), turning, TIME)
+    rim = (Quantity("wheel speed", "rad/s", lambda x, u, t, i: u[:, i]), turning, TIME)
+
+    def moved(x: Array, v: Array) -> dict[int, Array]:
+        """Rates of the pose by a velocity (3,) of the body."""
+        cos, sin = np.cos(x[:, 2]), np.sin(x[:, 2])
+        return {0: cos * v[0] - sin * v[1], 1: sin * v[0] + cos * v[1], 2: v[2] * _one(x)}
+
+    ahead, left, around = np.eye(3)
     return [
-        Equation("odometry/forward", "speed forward", "m/s", 1.0, 0, quantities, along),
-        Equation("odometry/lateral", "speed to the left", "m/s", 1.0, 0, quantities, across),
         Equation(
-            "odometry/turning", "yaw rate", "rad/s", 1.0, 0, quantities, lambda x: {2: _one(x)}
+            "odometry/forward", "speed forward", "m/s", 1.0, 0, body, lambda x: moved(x, ahead)
+        ),
+        Equation(
+            "odometry/lateral", "speed to the left", "m/s", 1.0, 0, body, lambda x: moved(x, left)
+        ),
+        Equation("odometry/turning", "yaw rate", "rad/s", 1.0, 0, body, lambda x: moved(x, around)),
+        Equation("floor/speed_x", "drift along x", "m/s", 1.0, 0, floor, lambda x: {0: _one(x)}),
+        Equation("floor/speed_y", "drift along y", "m/s", 1.0, 0, floor, lambda x: {1: _one(x)}),
+        *(
+            Equation(
+                f"wheel/{i + 1}/rim speed",
+                "rim speed",
+                "m/s",
+                radius_m,
+                i,
+                rim,
+                lambda x, i=i: moved(x, per_rate[i]),
+            )
+            for i in range(wheels)
         ),
     ]
 
