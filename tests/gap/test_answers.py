@@ -236,6 +236,7 @@ def test_no_lag_is_feigned_by_logs_of_different_rows(slow_first):
         (True, "rich", ("gyro",), 40.0),
         (True, "poor", ("gyro", "pose"), 100.0),
         (False, "ordinary", ("gyro", "pose"), 0.0),
+        (False, "poor", ("gyro", "pose"), 0.0),
     ],
 )
 def test_gains_that_answers_feign_are_asked_of_closed_loops(

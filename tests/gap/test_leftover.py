@@ -55,6 +55,20 @@ def left_in(logs):
     return left_of(*model_of(logs))
 
 
+def test_a_moment_on_a_robot_that_nothing_turns_is_no_law(logs):
+    """One that lasts, of chance, goes with the turns that it makes."""
+    data, fitted = model_of(
+        [
+            replace(log, columns=log.columns | {"gyro/z_rad_s": log.columns["gyro/z_rad_s"] * 1.2})
+            for log in logs
+        ]
+    )
+    of_turning = {one.equation for one in left_of(data, fitted)}
+    assert "body/moment" in of_turning
+    data.turned = False
+    assert {one.equation for one in left_of(data, fitted)} == of_turning - {"body/moment"}
+
+
 def rippling(log, wheel, order, phase_rad=0.0):
     """An encoder that shows a + 0.02 sin(order a + phase) rad."""
     name, per_rad = f"wheel/{wheel}/encoder_counts", 2000 / (2 * np.pi)

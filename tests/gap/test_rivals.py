@@ -100,6 +100,27 @@ def test_two_that_change_the_curve_stand_for_one_beside_another_curve(tmp_path, 
     assert {effect.effect for effect in found.hypothesis.effects} == expected
 
 
+@pytest.mark.parametrize(
+    ("curve", "hidden", "named"),
+    [("rational", None, "contact_shape"), ("atan", {"scale": 0.79}, "low_grip")],
+)
+def test_grip_alone_gives_way_to_another_law_of_friction(tmp_path, curve, hidden, named):
+    """Whose first shape alone explains less; and where grip is lower it stays."""
+    effects = (HiddenEffect("low_grip", hidden).as_dict(),) if hidden else ()
+    case = TruthCase(
+        seed=510,
+        effects=effects,
+        friction_curve=curve,
+        excitation="rich",
+        runs=2,
+        run_duration_s=3.0,
+    )
+    robot, runs, candidates = robot_runs(case, tmp_path)
+    start = believed_hypothesis(robot).with_effect(candidates["low_grip"], [0.8])
+    _, found = take_one_of_curve(*settle(robot, runs, start), {}, silent)
+    assert [effect.effect for effect in found.hypothesis.effects] == [named]
+
+
 def test_a_grip_that_falls_at_once_beside_a_curve_may_be_a_low_grip_beside_another(tmp_path):
     """And a low grip that is right stays."""
     low = HiddenEffect("low_grip", {"scale": 0.75}).as_dict()

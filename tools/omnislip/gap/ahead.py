@@ -11,13 +11,13 @@ from omnislip.gap.judge import (
     AHEAD_GAIN,
     DELAY,
     LEAST_PROMISE,
-    LITTLE_CURVED,
     MOST_EFFECTS,
     SURE_GAIN,
     WITHIN_LAW,
     Trial,
     both_pass,
     judge_candidate,
+    other_laws,
 )
 from omnislip.gap.machine import CURRENT_LIMIT, CURVE, Candidate, Machine, stall_acceleration_rad_s2
 from omnislip.gap.noise import (
@@ -332,8 +332,7 @@ class Ahead:
     def by_another_law(self, refused: Sequence[Trial]) -> Further | None:
         """Return the model with the friction curve of another law, if that helps.
 
-        Where an effect explains surely something, but no more than friction is off its law: from
-        that towards tanh, in which direction the curve is screened, may lie nothing of it (a floor
+        Where an effect explains surely something, but no more than friction is off its law (a floor
         of 1 - exp(-x) called unknown in a closed loop, where grip_falloff gained 1,400).
         """
         have = {effect.effect for effect in self._current.hypothesis.effects}
@@ -344,13 +343,7 @@ class Ahead:
             return None
         self._progress(f"step {self._step}: trying other laws of friction")
         data, current = self._data, self._current
-        [curve] = [c for c in data.machine.candidates() if c.effect == CURVE]
-        laws = [
-            current.hypothesis.with_effect(curve, [LITTLE_CURVED])
-            .with_effect(refinement, [LITTLE_CURVED])
-            .last_two_joined()
-            for refinement in data.machine.refinements(curve)
-        ]
+        laws = other_laws(data, current.hypothesis)
         fitted = min(side_by_side(lambda law: fit(data, law), laws), key=lambda one: one.objective)
         index = len(current.hypothesis.effects)
         evidence = weigh(data, current, fitted, index)

@@ -13,6 +13,7 @@ from omnislip.gap.inference import (
     Data,
     Evidence,
     Fit,
+    Hypothesis,
     fit,
     fit_more,
     fitted_without_each_unit,
@@ -268,6 +269,20 @@ def within_law(data: Data, without: Fit, fitted: Fit, index: int) -> bool:
     if gain > BENT_SHARE * by_law and beyond < BEYOND_SHARE * gain:
         return False
     return beyond > -SURE_GAIN
+
+
+def other_laws(data: Data, model: Hypothesis) -> list[Hypothesis]:
+    """Return a model without the friction curve with each of the laws that this may become.
+
+    From a law towards tanh, in which direction the curve is screened, may lie nothing of another.
+    """
+    [curve] = [c for c in data.machine.candidates() if c.effect == CURVE]
+    return [
+        model.with_effect(curve, [LITTLE_CURVED])
+        .with_effect(refinement, [LITTLE_CURVED])
+        .last_two_joined()
+        for refinement in data.machine.refinements(curve)
+    ]
 
 
 def _any_law(data: Data, without: Fit) -> Fit:

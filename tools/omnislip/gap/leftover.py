@@ -69,6 +69,7 @@ ALONG_BOTH = {
     "floor/speed_x": ("floor/speed", "floor/speed_y"),
 }
 """Equations along x that are tried together with those along y, and as what."""
+TURNS = "body/moment"
 IN_ITS_PLACE = 0.5
 """Share of an effect's gain that a term must take over to stand in its place."""
 MOST_SHAPES = 5
@@ -147,7 +148,8 @@ class Shape:
 def find_leftover(data: Data, fitted: Fit, free: Array) -> list[Leftover]:
     """Return the terms that pass, strongest first; `free` are the responses to the dictionary.
 
-    Of a robot what no effect of the catalogue comes near, too, and what has to be looked for.
+    Of a robot what no effect of the catalogue comes near, too, and what has to be looked for. No
+    moment where nothing but disturbances turns it: one that lasts passes for a law of turning.
     """
     terms, choices = dictionary(data.machine), 0
     if data.machine.kind == "robot":
@@ -157,7 +159,8 @@ def find_leftover(data: Data, fitted: Fit, free: Array) -> list[Leftover]:
         swings, swinging = _swings_looked_for(data, fitted, tracks)
         terms = [*terms, *more, *swings]
         free = np.hstack([free, responses(data, fitted, more, tracks), swinging])
-    return _passing(data, fitted, terms, free, choices)
+    kept = [k for k, one in enumerate(terms) if data.turned or one.equation != TURNS]
+    return _passing(data, fitted, [terms[k] for k in kept], free[:, kept], choices)
 
 
 def find_shapes(data: Data, refit: Fit) -> list[Leftover]:
