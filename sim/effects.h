@@ -1567,8 +1567,8 @@ using Catalogue = std::tuple<
     GripDrift, ContactShape, BristleRelaxation, CarpetAnisotropy, SlipperyPatch, RollerFriction,
     RollerRipple, RollingResistance, LoadTransfer, DiagonalLoadBias, Payload, InertiaError,
     CogOffset, FloorSlope, BodyDrag, QuadraticBodyDrag, TetherSpring, YawScrub, PoseLatency,
-    ClockSkew, PoseRotation, GyroBias, GyroScale, EncoderScale, EncoderDropout, PendulumZeroError,
-    LateralSlip, TurningLoss, MarkerOffset, HeadingOffset>;
+    ClockSkew, MarkerOffset, PoseRotation, GyroBias, GyroScale, EncoderScale, EncoderDropout,
+    PendulumZeroError, LateralSlip, TurningLoss, HeadingOffset>;
 
 constexpr int kEffectCount = static_cast<int>(std::tuple_size<Catalogue>::value);
 

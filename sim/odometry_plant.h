@@ -15,9 +15,10 @@
  * the body moves along their axle: J has one more row, (cos g_1, sin g_1, 0), with speed 0. A row
  * of the log is followed along an arc.
  *
- * The camera's row at t shows the pose of t (1 - fraction) - delay (clock_skew, pose_latency): the
- * pose here is the one the camera shows, driven by the encoders of that moment. That is exact also
- * for delays over which the motion changes.
+ * A log begins where the camera shows the robot first, whichever way that is turned or its marker
+ * sits. The camera's row at t shows the pose of t (1 - fraction) - delay (clock_skew,
+ * pose_latency): the pose here is the one the camera shows, driven by the encoders of that moment.
+ * That is exact also for delays over which the motion changes.
  */
 #ifndef OMNISLIP_SIM_ODOMETRY_PLANT_H
 #define OMNISLIP_SIM_ODOMETRY_PLANT_H
@@ -124,6 +125,25 @@ class OdometryPlant {
         y[0] = term.x_m;
         y[1] = term.y_m;
         y[2] = term.theta_rad;
+    }
+
+    /* Turn the pose x that the camera shows first into that of the robot. The camera shows
+     * (A p + b(theta), theta + c): A and b as it shows the places (0, 0), (1, 0) and (0, 1). */
+    void begin_where_shown(S *x) const {
+        const S none(0.0);
+        S shown[3];
+        output(x, none, shown);
+        x[2] = x[2] + x[2] - shown[2];
+        const S places[3][3] = {{none, none, x[2]}, {S(1.0), none, x[2]}, {none, S(1.0), x[2]}};
+        S seen[3][3];
+        for (int i = 0; i < 3; ++i)
+            output(places[i], none, seen[i]);
+        const S a = seen[1][0] - seen[0][0], b = seen[2][0] - seen[0][0];
+        const S c = seen[1][1] - seen[0][1], d = seen[2][1] - seen[0][1];
+        const S along = x[0] - seen[0][0], across = x[1] - seen[0][1];
+        const S determinant = a * d - b * c;
+        x[0] = (d * along - b * across) / determinant;
+        x[1] = (a * across - c * along) / determinant;
     }
 
     double fastest_rate_1_s() const {

@@ -249,6 +249,8 @@ class KernelOf final : public Kernel {
         if (recording.begins())
             std::fill_n(command, kMotors, S(0.0));
         omnislip::settle(loaded.plant, x, command, recording.time_s[0], in);
+        if constexpr (Plant::kKind == kOdometry)
+            loaded.plant.begin_where_shown(x);
         if constexpr (Plant::kKind == kRobot) {
             loaded.plant.warm(recording.past_s.data(), recording.past_current_a2.data(),
                               recording.past_s.size(), x);
@@ -320,7 +322,7 @@ class KernelOf final : public Kernel {
         Internals in;
         broadcast(state, x, kStates);
         settle_first(*static_cast<const Loaded *>(loaded_set), recording, x, in);
-        for (int i = kStates; i < kAll; ++i)
+        for (int i = 0; i < kAll; ++i)
             state[i] = lane(x[i], 0);
     }
 

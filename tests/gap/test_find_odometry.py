@@ -27,12 +27,21 @@ counts_per_rev = {COUNTS}
 
 
 def make_log(
-    seed, slip=0.0, delay_s=0.0, seconds=30.0, series="", drift=0.0, lost=0.0, slack_s2_m=0.0
+    seed,
+    slip=0.0,
+    delay_s=0.0,
+    seconds=30.0,
+    series="",
+    drift=0.0,
+    lost=0.0,
+    slack_s2_m=0.0,
+    uneven=0.0,
 ):
     """A robot that drives smoothly at random; integrated 50 times a row, in world coordinates.
 
     `drift` of its speed goes along the world's y; the second encoder shows less by the share `lost`
-    above 2.5 rad/s; rims move less by a share of `slack_s2_m` times what they accelerate.
+    above 2.5 rad/s; rims move less by a share of `slack_s2_m` times what they accelerate; the third
+    wheel's radius changes by the share `uneven` in a turn.
     """
     rng = np.random.default_rng(seed)
     fine_s = ROW_S / FINE
@@ -44,7 +53,8 @@ def make_log(
     jacobian = np.stack([-np.sin(g), np.cos(g), np.full(4, DISTANCE_M)], axis=1)
     rims = jacobian @ claimed
     moved = rims * (1 - slack_s2_m * np.abs(np.gradient(rims, fine_s, axis=1)))
-    true = np.linalg.pinv(jacobian) @ moved if slack_s2_m else claimed
+    moved[2] *= 1 + uneven * np.sin(np.cumsum(rims[2]) * fine_s / RADIUS_M + seed)
+    true = np.linalg.pinv(jacobian) @ moved if slack_s2_m or uneven else claimed
     rims[1] *= 1 - lost * (np.abs(rims[1]) > 2.5 * RADIUS_M)
     angles = np.cumsum(rims, axis=1) * fine_s / RADIUS_M
     heading = np.cumsum(true[2]) * fine_s
@@ -127,6 +137,37 @@ def test_what_no_effect_of_an_odometry_is_gets_its_law(tmp_path, model, hidden, 
     if size:
         [(slope, unit)] = re.findall(size, findings.sentence)
         assert float(slope) / float(unit) == pytest.approx(hidden["drift"], rel=0.05)
+
+
+def test_a_wheel_out_of_round_is_told_by_its_angle(tmp_path, model):
+    """Which the logs count from where each of them begins."""
+    logs = [make_log(seed, uneven=0.15) for seed in range(6)]
+    findings = find(tmp_path, model, logs)
+    assert findings.verdict == "unknown_effect"
+    assert "wheel/3/rim speed, depending on the wheel angle" in findings.sentence
+
+
+def test_a_camera_that_is_turned_is_not_told_from_a_robot_that_is(tmp_path, model):
+    logs = [make_log(seed) for seed in range(6)]
+    for log in logs:
+        log.columns["pose/theta_rad"] += 0.1
+    [found] = find(tmp_path, model, logs).outcome.selected
+    assert {found.candidate.name, *found.rivals} >= {"pose_rotation", "heading_offset"}
+    assert abs(found.values[0]) == pytest.approx(0.1, abs=0.005)
+
+
+@pytest.mark.parametrize("turn_rad_s", [1.3, -4.0])
+def test_a_robot_turns_on_while_the_camera_is_lost(model, turn_rad_s):
+    """By half a turn and more, which its wheels tell, within 1 %."""
+    t_s = np.arange(0.0, 10.0, ROW_S)
+    counts = np.round(1.01 * turn_rad_s * t_s * DISTANCE_M / RADIUS_M * COUNTS / (2 * np.pi))
+    wrapped = (turn_rad_s * t_s + np.pi) % (2 * np.pi) - np.pi
+    lost = (t_s > 2.0) & (t_s < 6.0)
+    columns = {f"wheel/{i + 1}/encoder_counts": counts for i in range(4)}
+    columns |= {"pose/x_m": np.where(lost, np.nan, 0.0), "pose/y_m": np.where(lost, np.nan, 0.0)}
+    columns["pose/theta_rad"] = np.where(lost, np.nan, wrapped)
+    shown = make_run(Machine(read_model(model)), Log("run", t_s, columns)).outputs[:, 2]
+    np.testing.assert_allclose(shown[~lost], turn_rad_s * t_s[~lost], atol=1e-9)
 
 
 def two_wheeled(seed, loss=0.0, radius=1.0):

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from omnislip.gap.inference import Evidence
+from omnislip.gap.inference import Evidence, Hypothesis
 from omnislip.gap.judge import TOO_SHORT
 from omnislip.gap.leftover import Shape
 from omnislip.gap.machine import Machine
@@ -13,7 +13,14 @@ from omnislip.gap.metrics import Closed, Left
 from omnislip.gap.plan import Manoeuvre, Separation
 from omnislip.gap.selected import Selected
 from omnislip.gap.verdict import closes_nothing, judge_outcome, unchecked_words
-from omnislip.gap.words import advice, short_delay_words, unsteady_names, verdict_words, weak_names
+from omnislip.gap.words import (
+    advice,
+    keys_words,
+    short_delay_words,
+    unsteady_names,
+    verdict_words,
+    weak_names,
+)
 from omnislip.model_file import NOMINAL_ROBOT, read_model
 
 ROBOT = Machine(read_model(NOMINAL_ROBOT))
@@ -27,19 +34,20 @@ def selected(name, gain, inflation=1.0, variation=0.0, left=0.0):
     return Selected(candidate, np.ones(1), np.ones((1, 2)), evidence, (), 1.0, left)
 
 
-def verdict_of(
-    effects, left=(), jolts=False, feigned_gain=0.0, table=None, trials=(), keys_at_ends=0
-):
+def verdict_of(effects, left=(), jolts=False, feigned_gain=0.0, table=None, trials=(), keys_off=0):
     """Verdict where without a table replays are as near as can be.
 
     `left` is the gain of a leftover term and what of it the shapes of effects cover.
     """
     keys = ROBOT.base_parameters()
-    x = np.array([p.high if i < keys_at_ends else (p.low + p.high) / 2 for i, p in enumerate(keys)])
+    moved = [2.1 if i < keys_off else 1.9 for i in range(len(keys))]
+    x = np.array([(p.low + p.high) / 2 + z * p.scale for p, z in zip(keys, moved, strict=True)])
     hypothesis = SimpleNamespace(base=keys, parameters=keys, x=x)
     left = [SimpleNamespace(gain=left[0], inflation=1.0, covered=left[1])] if left else []
     runs = [SimpleNamespace(row_s=0.005)]
-    data = SimpleNamespace(feigned_gain=feigned_gain, machine=ROBOT, runs=runs)
+    data = SimpleNamespace(
+        feigned_gain=feigned_gain, machine=ROBOT, runs=runs, believed=ROBOT.believed
+    )
     final = SimpleNamespace(hypothesis=hypothesis)
     outcome = SimpleNamespace(
         selected=effects, leftover=left, trials=trials, data=data, final=final
@@ -221,9 +229,20 @@ def replace_namespace(one, **changed):
     return SimpleNamespace(**{**vars(one), **changed})
 
 
-@pytest.mark.parametrize(("keys_at_ends", "verdict"), [(4, "no_gap"), (5, "unknown_effect")])
-def test_believed_keys_at_their_ends_are_no_model_that_explains_the_logs(keys_at_ends, verdict):
-    assert verdict_of([], keys_at_ends=keys_at_ends) == verdict
+@pytest.mark.parametrize(("keys_off", "verdict"), [(4, "no_gap"), (5, "unknown_effect")])
+def test_many_believed_keys_far_off_are_no_model_that_explains_the_logs(keys_off, verdict):
+    assert verdict_of([], keys_off=keys_off) == verdict
+
+
+def test_a_key_beyond_two_tolerances_is_told_by_name():
+    keys = ROBOT.base_parameters()
+    x = np.array([ROBOT.believed[key.places[0]] for key in keys])
+    x[0] *= 1.05
+    x[1] *= 1.03
+    final = SimpleNamespace(hypothesis=Hypothesis(tuple(keys), (), x))
+    assert keys_words(final, ROBOT) == [f"More than two tolerances off: {keys[0].label} (+5 %)."]
+    final.hypothesis.x[0] /= 1.05
+    assert keys_words(final, ROBOT) == []
 
 
 def test_what_jolts_more_often_than_anybody_pushes_is_unknown():

@@ -37,12 +37,15 @@ def rates_of(velocity, angles_deg=OMNI4):
     return rates
 
 
-def drive(rates, effects=(), seconds=4.0, **geometry):
-    """Pose (rows, 3) shown while the encoders turn with `rates`, (8,) or (rows, 8)."""
+def drive(rates, effects=(), seconds=4.0, first=(0.0, 0.0, 0.0), **geometry):
+    """Pose (rows, 3) shown while the encoders turn with `rates`, (8,) or (rows, 8).
+
+    The camera shows the robot at `first` when it begins.
+    """
     t_s = np.arange(0.0, seconds + STEP_S / 2, STEP_S)
     command = np.broadcast_to(rates, (len(t_s), 8))
     sets = [parameter_set("odometry", base(**geometry), effects)]
-    return t_s, simulate(sets, t_s, command, kind="odometry")[0]
+    return t_s, simulate(sets, t_s, command, first, kind="odometry")[0]
 
 
 def arc(velocity, t_s):
@@ -106,12 +109,25 @@ def test_distance_error_scales_the_turn_inversely():
 
 def test_marker_and_heading_offset_are_rigid():
     effects = [("marker_offset", "x_m", 0.03), ("marker_offset", "y_m", -0.02)]
-    t_s, pose = drive(rates_of((0.2, 0.1, 0.5)), [*effects, ("heading_offset", "angle_rad", 0.1)])
+    effects.append(("heading_offset", "angle_rad", 0.1))
+    t_s, pose = drive(rates_of((0.2, 0.1, 0.5)), effects, first=(0.03, -0.02, 0.1))
     true = arc((0.2, 0.1, 0.5), t_s)
     marker = (0.03 - 0.02j) * np.exp(1j * true[:, 2])
     np.testing.assert_allclose(pose[:, 0], true[:, 0] + marker.real, atol=2e-7)
     np.testing.assert_allclose(pose[:, 1], true[:, 1] + marker.imag, atol=2e-7)
     np.testing.assert_allclose(pose[:, 2], true[:, 2] + 0.1, atol=1e-12)
+
+
+@given(*[st.floats(-2.0, 2.0)] * 3, *[st.floats(-0.2, 0.2)] * 3)
+def test_a_camera_that_is_turned_is_a_robot_that_is_turned_the_other_way(x, y, theta, a, mx, my):
+    """A log begins where the camera shows the robot, and none tells which of the two it is."""
+    marker = [("marker_offset", "x_m", mx), ("marker_offset", "y_m", my)]
+    one, other = (
+        drive(rates_of((0.2, 0.1, 0.5)), [*marker, (name, "angle_rad", size)], 0.5, (x, y, theta))
+        for name, size in (("pose_rotation", a), ("heading_offset", -a))
+    )
+    np.testing.assert_allclose(one[1][0], [x, y, theta], atol=1e-12)
+    np.testing.assert_allclose(one[1], other[1], atol=1e-9)
 
 
 @pytest.mark.parametrize("delay_s", [0.3, -0.04])

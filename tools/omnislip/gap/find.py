@@ -77,6 +77,7 @@ from omnislip.gap.words import (
     advice,
     impact_words,
     jolt_words,
+    keys_words,
     one_wiring_words,
     only_held_out_words,
     short_delay_words,
@@ -385,6 +386,7 @@ def _findings(
     cautions += short_delay_words(outcome)
     cautions += [f"Besides, {unchecked}."] if unchecked else []
     cautions += [unproven] if unproven else []
+    cautions += keys_words(outcome.final, machine) if verdict != "unknown_effect" else []
     if verdict == "unknown_effect" and much_is_left(table, outcome.selected):
         elsewhere = only_held_out_words(split, fitted_replays)
         if elsewhere:

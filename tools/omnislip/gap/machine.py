@@ -36,6 +36,10 @@ EXACT_KEYS = (
     "odometry.roller_angle_deg",
     "odometry.counts_per_rev",
 )
+KEY_REACH, KEY_TOLD = 3.0, 2.0
+"""Tolerances by which a believed key may move, and from which it is told by name. Of thirteen keys
+one is beyond two in every other robot, beyond three in one of thirty; a name that takes the rest
+of one key upon it is none."""
 AXIS_KEYS = {
     "mass_kg": "axis.inertia",
     "inertia_kg_m2": "axis.inertia",
@@ -285,7 +289,7 @@ class Machine:
         return float(mass[0]), float(inertia[0]), shafts
 
     def base_parameters(self) -> list[Parameter]:
-        """Return the believed keys that the base fit may move, within two tolerances."""
+        """Return the believed keys that the base fit may move, within `KEY_REACH` tolerances."""
         return [self._base_parameter(key) for key in self.model.values if self._may_move(key)]
 
     def candidates(self) -> list[Candidate]:
@@ -521,9 +525,8 @@ class Machine:
     def _base_parameter(self, key: str) -> Parameter:
         value = float(self.model.values[key])  # type: ignore[arg-type]
         deviation = abs(value) * self.model.tolerance_of(key)
-        return Parameter(
-            key, self._key_places()[key], deviation, value - 2 * deviation, value + 2 * deviation
-        )
+        most = KEY_REACH * deviation
+        return Parameter(key, self._key_places()[key], deviation, value - most, value + most)
 
     def _candidate(self, entry: dict, wheel: int | None) -> Candidate:
         own = [p for p in entry["parameters"] if (entry["name"], p["name"]) not in EXTENSIONS]

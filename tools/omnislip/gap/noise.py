@@ -519,8 +519,9 @@ def _odometry_start(runs: Sequence[Run]) -> Guess:
 def _odometry_noise(machine: Machine, logs: Array) -> Noise:
     slip, turn, place, heading = np.exp(logs)
     process, output = np.array([slip, slip, turn]), np.array([place, place, heading])
-    # Of the camera's frame against the robot's nothing is known: 0.1 m, 0.1 rad.
-    return Noise(process, output, np.full(3, 1e-2), 0.0, 0.0, logs)
+    # Of where a robot begins and is turned to nothing is known but what the camera shows: whether
+    # that is turned against the world, or the robot in its view, no log tells.
+    return Noise(process, output, np.array([1e2, 1e2, 10.0]), 0.0, 0.0, logs)
 
 
 NOISES = {

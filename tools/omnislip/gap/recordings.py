@@ -235,18 +235,24 @@ def reckoned_pose(machine: Machine, log: Log, row: int) -> Array:
     Where it has turned by gyro, if there is one, how far it has gone by its wheels: a floor that
     slopes pulls a later piece of the log from where it pulled the first.
     """
-    turned_rad = np.diff(
-        [unwrap_counts(log.columns[name])[: row + 1] for name in ROBOT_CHANNELS[:4]]
-    ) * count_rad(machine)
-    inverse = np.linalg.pinv(wheel_jacobian(machine)) * rim_m_per_rad(machine)
-    forward, left, turn = np.nan_to_num(inverse @ turned_rad)
-    gyro = log.columns.get(ROBOT_CHANNELS[4], np.full(len(log.t_s), np.nan))[: row + 1]
-    by_gyro = 0.5 * (gyro[1:] + gyro[:-1]) * np.diff(log.t_s[: row + 1])
-    turn = np.where(np.isnan(by_gyro), turn, by_gyro)
+    forward, left, turn = _reckoned_steps(machine, log)[:, :row]
     x_m, y_m, begun_rad = log.begun_at
     heading = begun_rad + np.append(0.0, np.cumsum(turn))
     way = np.sum((forward + 1j * left) * np.exp(1j * (heading[:-1] + 0.5 * turn)))
     return np.array([x_m + way.real, y_m + way.imag, heading[-1]])
+
+
+def _reckoned_steps(machine: Machine, log: Log) -> Array:
+    """Return how far a robot goes forward, to the left and round (3, rows - 1) from row to row."""
+    turned_rad = np.diff(
+        [unwrap_counts(log.columns[name]) for name in ROBOT_CHANNELS[:4]]
+    ) * count_rad(machine)
+    inverse = np.linalg.pinv(wheel_jacobian(machine)) * rim_m_per_rad(machine)
+    steps = np.nan_to_num(inverse @ turned_rad)
+    gyro = log.columns.get(ROBOT_CHANNELS[4], np.full(len(log.t_s), np.nan))
+    by_gyro = 0.5 * (gyro[1:] + gyro[:-1]) * np.diff(log.t_s)
+    steps[2] = np.where(np.isnan(by_gyro), steps[2], by_gyro)
+    return steps
 
 
 def first_pose(log: Log, begin: int, end: int) -> int:
@@ -272,7 +278,8 @@ def _odometry_run(machine: Machine, log: Log, rows: slice, t_s: Array) -> Run:
     rates = np.diff(angles * rad_per_count, axis=0) / np.diff(t_s)[:, None]
     rates = np.concatenate([rates, rates[-1:]])
     pose = np.stack([log.columns[name][rows] for name in ROBOT_CHANNELS[5:]], axis=1)
-    pose[:, 2] = _unwrap_sampled(pose[:, 2])
+    turn = (rates @ of_encoders(machine))[:-1, 2] * np.diff(t_s)
+    pose[:, 2] = _unwrap_sampled(pose[:, 2], np.append(0.0, np.cumsum(turn)))
     first = np.array([column[~np.isnan(column)][0] for column in pose.T])
     padded = np.zeros((len(t_s), machine.engine.motors))
     padded[:, : machine.wheels] = rates
@@ -351,7 +358,8 @@ def _robot_signals(machine: Machine, log: Log, rows: slice) -> tuple[Array, Arra
     counts = [unwrap_counts(log.columns[name])[rows] for name in ROBOT_CHANNELS[:4]]
     angles = [count * rad_per_count for count in counts]
     others = [columns.get(name, blank) for name in ROBOT_CHANNELS[4:]]
-    others[3] = _unwrap_sampled(others[3])
+    turned = np.append(0.0, np.cumsum(_reckoned_steps(machine, log)[2]))
+    others[3] = _unwrap_sampled(others[3], turned[rows])
     # What flows goes with a command that has to be known: that of the last row has no row to be the
     # mean of, and what was read before one went with that of the row before, if it is there. Of a
     # first row that is never sure: tens of ampere of a robot that starts.
@@ -398,10 +406,15 @@ def _past_currents(machine: Machine, log: Log, begin: int) -> tuple[Array, Array
     return whole_s, heat / whole_s[:, None]
 
 
-def _unwrap_sampled(angle_rad: Array) -> Array:
+def _unwrap_sampled(angle_rad: Array, turned_rad: Array) -> Array:
+    """Return headings (rows,) without jumps by whole turns where they are sampled.
+
+    Beside `turned_rad`, what gyro or wheels have turned by: while the camera is lost a robot turns
+    on.
+    """
     sampled = ~np.isnan(angle_rad)
     result = angle_rad.copy()
-    result[sampled] = np.unwrap(angle_rad[sampled])
+    result[sampled] = turned_rad[sampled] + np.unwrap((angle_rad - turned_rad)[sampled])
     return result
 
 
@@ -503,6 +516,14 @@ def body_errors(run: Run, errors: Array) -> Array:
     turn = np.exp(-1j * run.outputs[:, 2])
     along = (errors[..., 0] + 1j * errors[..., 1]) * turn
     return np.stack([along.real, along.imag, errors[..., 2]], axis=-1)
+
+
+def of_encoders(machine: Machine) -> Array:
+    """Return the velocity (wheels, 3) of an odometry's body per rate of each of its encoders."""
+    wheels, engine = machine.wheels, machine.engine
+    unit = np.zeros((wheels, engine.motors))
+    unit[:, :wheels] = np.eye(wheels)
+    return engine.derivatives(machine.believed, np.zeros((wheels, 3)), unit)
 
 
 def wheel_jacobian(machine: Machine) -> Array:

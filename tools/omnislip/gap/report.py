@@ -32,7 +32,14 @@ from omnislip.gap import (
 )
 from omnislip.gap.findings import CANNOT_BE_USED, NOT_ENOUGH, Findings, to_json
 from omnislip.gap.judge import Trial
-from omnislip.gap.machine import Candidate, Machine, effect_and_wheel, name_on_wheel
+from omnislip.gap.machine import (
+    KEY_REACH,
+    KEY_TOLD,
+    Candidate,
+    Machine,
+    effect_and_wheel,
+    name_on_wheel,
+)
 from omnislip.gap.metrics import Replays
 from omnislip.gap.recordings import ODOMETRY_CHANNELS, Run
 from omnislip.model_file import format_model
@@ -68,8 +75,6 @@ EQUATIONS = {
     "axis/force": "force balance",
 }
 MODELS = ("believed", "refitted", "with effect")
-KEY_BOUND = 2.0
-"""Standard deviations that the fit may move a believed key."""
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
@@ -396,13 +401,13 @@ def _keys(base: Json) -> Json | None:
     if not base:
         return None
     rows = [
-        {"key": key, "at_bound": abs(moved["standard_deviations"]) >= KEY_BOUND - 1e-6, **moved}
+        {"key": key, "far": abs(moved["standard_deviations"]) >= KEY_TOLD, **moved}
         for key, moved in base.items()
     ]
     deviations = [row["standard_deviations"] for row in rows]
     names = [row["key"] for row in rows]
-    picture = report_pictures.keys_picture(names, deviations, KEY_BOUND)
-    return {"rows": rows, "picture": picture, "bound": KEY_BOUND}
+    picture = report_pictures.keys_picture(names, deviations)
+    return {"rows": rows, "picture": picture, "told": KEY_TOLD, "reach": KEY_REACH}
 
 
 def _held_out_names(findings: Findings) -> list[str]:

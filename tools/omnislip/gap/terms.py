@@ -6,7 +6,7 @@ of the catalogue is; the others are the shapes that effects have, for what is ne
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -16,6 +16,7 @@ from scipy.signal import lfilter
 
 from omnislip.gap.answers import CHANCE_S
 from omnislip.gap.machine import Machine, no_load_speed_rad_s
+from omnislip.gap.recordings import of_encoders
 
 Array = npt.NDArray[np.float64]
 Of = Callable[[Array, Array], Array]
@@ -711,6 +712,16 @@ def _beyond(share: float) -> Callable[[Array, Array, Array], Array]:
     return lambda u, v, t: u * (np.abs(u) > share * np.max(np.abs(u)))
 
 
+def _uneven(wave: Callable[[Array], Array], order: int) -> Callable[[Array, Array, Array], Array]:
+    """A wheel out of round, `order` times a turn, from where a log begins."""
+
+    def shape(u: Array, v: Array, t: Array) -> Array:
+        turned = np.append(0.0, np.cumsum(u[:-1] * np.diff(t)))
+        return u * wave(order * turned)
+
+    return shape
+
+
 RIM_SHAPES: dict[str, Callable[[Array, Array, Array], Array]] = {
     "size of its speed": lambda u, v, t: np.abs(u),
     "speed squared, against it": lambda u, v, t: u * np.abs(u),
@@ -720,14 +731,6 @@ RIM_SHAPES: dict[str, Callable[[Array, Array, Array], Array]] = {
 }
 """Of a wheel that slips or whose encoder errs: (rate (rows,), velocity (rows, 3), time (rows,)) ->
 (rows,)"""
-
-
-def of_encoders(machine: Machine) -> Array:
-    """Return the velocity (wheels, 3) of an odometry's body per rate of each of its encoders."""
-    wheels, engine = machine.wheels, machine.engine
-    unit = np.zeros((wheels, engine.motors))
-    unit[:, :wheels] = np.eye(wheels)
-    return engine.derivatives(machine.believed, np.zeros((wheels, 3)), unit)
 
 
 def _odometry_terms(machine: Machine) -> list[Term]:
@@ -772,12 +775,19 @@ def _odometry_terms(machine: Machine) -> list[Term]:
         for name, shape in DRIFT_SHAPES.items()
     ]
     rims = {"every wheel": list(wheels), **{f"wheel/{i + 1}": [i] for i in wheels}}
-    return [
-        *motion,
-        *drift,
-        *(
-            term(f"{where}/rim speed", name, of_rims(own, shape))
-            for where, own in rims.items()
-            for name, shape in RIM_SHAPES.items()
-        ),
+    slips = [
+        term(f"{where}/rim speed", name, of_rims(own, shape))
+        for where, own in rims.items()
+        for name, shape in RIM_SHAPES.items()
     ]
+    uneven = [
+        replace(
+            term(f"wheel/{i + 1}/rim speed", f"{wave} of {name}", of_rims([i], _uneven(of, order))),
+            jointly=name,
+            turning=True,
+        )
+        for i in wheels
+        for order, name in ((1, "the wheel angle"), (2, "twice the wheel angle"))
+        for wave, of in WAVES.items()
+    ]
+    return [*motion, *drift, *slips, *uneven]

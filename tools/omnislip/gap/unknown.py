@@ -25,7 +25,7 @@ from omnislip.gap.leftover import Leftover
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import DISTURBANCES, track_all
 from omnislip.gap.predictable import MOVED
-from omnislip.gap.recordings import Run
+from omnislip.gap.recordings import Run, of_encoders
 from omnislip.gap.search import Outcome
 from omnislip.gap.side_by_side import side_by_side
 from omnislip.gap.terms import (
@@ -33,7 +33,6 @@ from omnislip.gap.terms import (
     GYRO_SHAPES,
     Quantity,
     against_rotation,
-    of_encoders,
     roller_friction,
     swings,
 )

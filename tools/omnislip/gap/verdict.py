@@ -3,9 +3,10 @@
 from collections.abc import Callable, Sequence
 
 import numpy as np
+import numpy.typing as npt
 from scipy.stats import binom, norm
 
-from omnislip.gap.inference import at_bound
+from omnislip.gap.inference import Fit, prior_penalty
 from omnislip.gap.judge import (
     ALPHA,
     FRICTION_OVER_SLIP,
@@ -16,12 +17,14 @@ from omnislip.gap.judge import (
     within_row,
 )
 from omnislip.gap.leftover import Leftover
-from omnislip.gap.machine import CURVE
+from omnislip.gap.machine import CURVE, KEY_TOLD
 from omnislip.gap.metrics import LEAST_EXCESS, REPEATED, GapTable
 from omnislip.gap.noise import LASTING_RATE_1_S
 from omnislip.gap.predictable import BEAT_S, EQUATIONS, OWN_PASTS_S, Predictable
 from omnislip.gap.search import Outcome
 from omnislip.gap.selected import Selected
+
+Array = npt.NDArray[np.float64]
 
 STABLE = 0.9
 """Share of resamples of the runs in which a name has to hold."""
@@ -72,7 +75,7 @@ SURE = 3.0
 FAINT_GAIN = 100.0
 """Gain beyond chance from which a change of the friction curve is no faint one: twice what a curve
 gains that is 1.5 % of the way to another law."""
-KEY_AT_END, KEYS_BY_CHANCE = 2.0 * float(norm.sf(2.0)), 1e-3
+KEY_AT_END, KEYS_BY_CHANCE = 2.0 * float(norm.sf(KEY_TOLD)), 1e-3
 """Chance that one believed key is two tolerances off; and that so many are, below which the model
 is wrong in something else."""
 
@@ -116,23 +119,29 @@ def judge_outcome(
         return "unknown_effect"
     if sudden or any(no_chance(one) for one in shares) or varying(outcome.selected):
         return "unknown_effect"
-    if keys_at_their_ends(outcome) or better_without_name(outcome.selected):
+    if too_many_keys(outcome) or better_without_name(outcome.selected):
         return "unknown_effect"
     return "effect_found" if outcome.selected or mended else "no_gap"
 
 
-def keys_at_their_ends(outcome: Outcome) -> list[str]:
-    """Return the believed keys at the end of their range: more than chance, where nothing is named.
+def keys_told(fitted: Fit, believed: Array) -> dict[str, float]:
+    """Return the believed keys that are `KEY_TOLD` tolerances off or more, and by how many."""
+    model = fitted.hypothesis
+    moved = zip(model.base, prior_penalty(model, believed, model.x), strict=True)
+    return {key.label: float(z) for key, z in moved if abs(z) >= KEY_TOLD}
+
+
+def too_many_keys(outcome: Outcome) -> list[str]:
+    """Return the believed keys that are far off: more than chance, where nothing is named.
 
     That takes five of thirteen; in 214 nulls three at most were there. They were pulled by what
     the model lacks, and the noise holds the rest of it.
     """
     if outcome.selected:
         return []
-    names = [p.label for p in outcome.final.hypothesis.base]
-    ends = [name for i, name in enumerate(names) if at_bound(outcome.final, i)]
-    chance = binom.sf(len(ends) - 1, len(names), KEY_AT_END)
-    return ends if chance < KEYS_BY_CHANCE else []
+    told = list(keys_told(outcome.final, outcome.data.believed))
+    chance = binom.sf(len(told) - 1, len(outcome.final.hypothesis.base), KEY_AT_END)
+    return told if chance < KEYS_BY_CHANCE else []
 
 
 def missing_terms(outcome: Outcome) -> list[Leftover]:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from omnislip.gap.events import Impact
+from omnislip.gap.inference import Fit
 from omnislip.gap.judge import DELAY, LAGS, SURE_GAIN, TOO_SHORT
 from omnislip.gap.leftover import Leftover
 from omnislip.gap.machine import Machine
@@ -20,12 +21,13 @@ from omnislip.gap.unknown import Unknown
 from omnislip.gap.verdict import (
     PROVEN,
     better_without_name,
-    keys_at_their_ends,
+    keys_told,
     missing_terms,
     much_is_left,
     no_chance,
     refused_in_places,
     surely_refused,
+    too_many_keys,
     unsteady,
     varying,
 )
@@ -189,7 +191,7 @@ def verdict_words(
         if much_is_left(table, outcome.selected):
             off = (1.0 + table.left.excess) ** 0.5
             text += f"; replays of held-out runs are {off:.2g} noise floors off"
-        if ends := keys_at_their_ends(outcome):
+        if ends := too_many_keys(outcome):
             text += (
                 f"; {len(ends)} of {len(outcome.final.hypothesis.base)} believed values would be "
                 f"more than two tolerances off ({', '.join(ends)})"
@@ -216,6 +218,15 @@ def verdict_words(
     for one in rivals:
         text += f" These logs cannot tell {one.candidate.name} from {', '.join(one.rivals)}."
     return text
+
+
+def keys_words(fitted: Fit, machine: Machine) -> list[str]:
+    """Return a caution with the believed keys that are more than two tolerances off, if any."""
+    told = [
+        f"{key} ({100 * z * machine.model.tolerance_of(key):+.2g} %)"
+        for key, z in keys_told(fitted, machine.believed).items()
+    ]
+    return [f"More than two tolerances off: {', '.join(told)}."] if told else []
 
 
 def advice(selected: Sequence[Selected], manoeuvres: dict[str, Separation]) -> str:
