@@ -246,7 +246,7 @@ def test_gains_that_answers_feign_are_asked_of_closed_loops(
     case = {"closed_loop": closed_loop, "excitation": excitation, "sensors": sensors}
     data = data_of(seed=951, noise_level=2.0, runs=3, **case)
     assert data.feigned_gain == feigned
-    assert data.turned == (excitation != "poor")
+    assert data.driven[2] == (excitation != "poor")
 
 
 @pytest.mark.parametrize("lag", LAGS)

@@ -261,7 +261,7 @@ def test_an_effect_gives_way_to_a_delay_only_if_it_explains_no_more_beside_it(
 )
 def test_what_turns_a_robot_that_only_disturbances_turn_gets_no_name(effect, turned, least):
     """And the friction curve is asked for no more than where all directions are driven."""
-    data = SimpleNamespace(feigned_gain=100.0, turned=turned)
+    data = SimpleNamespace(feigned_gain=100.0, driven=(True, True, turned))
     assert judge._feigned_gain(data, SimpleNamespace(effect=effect)) == least
 
 
@@ -270,6 +270,6 @@ def test_any_inertia_stands_beside_what_is_left_where_only_disturbances_turn_a_r
     robot, runs, _ = robot_runs(case, tmp_path)
     data, fitted = settle(robot, runs, believed_hypothesis(robot))
     assert judge.beside_turning(data, fitted) is fitted
-    data.turned = False
+    data.driven = (True, True, False)
     freer = judge.beside_turning(data, fitted)
     assert [effect.effect for effect in freer.hypothesis.effects] == ["inertia_error"]

@@ -9,6 +9,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from omnislip.gap.inference import Data, fit
 from omnislip.gap.leftover import (
+    MOVES,
     PLACED,
     _placed,
     find_leftover,
@@ -55,18 +56,17 @@ def left_in(logs):
     return left_of(*model_of(logs))
 
 
-def test_a_moment_on_a_robot_that_nothing_turns_is_no_law(logs):
-    """One that lasts, of chance, goes with the turns that it makes."""
-    data, fitted = model_of(
-        [
-            replace(log, columns=log.columns | {"gyro/z_rad_s": log.columns["gyro/z_rad_s"] * 1.2})
-            for log in logs
-        ]
-    )
-    of_turning = {one.equation for one in left_of(data, fitted)}
-    assert "body/moment" in of_turning
-    data.turned = False
-    assert {one.equation for one in left_of(data, fitted)} == of_turning - {"body/moment"}
+@pytest.mark.parametrize("equation", ["body/force_x", "body/force_y", "body/moment"])
+def test_what_pushes_where_nothing_drives_a_robot_is_no_law(logs, equation):
+    """One push that lasts, of chance, goes with the motion that it makes."""
+    data, fitted = model_of(logs)
+    state = {"body/force_x": 8, "body/force_y": 9, "body/moment": 10}[equation]
+    term = next(t for t in dictionary(MACHINE) if t.name == (equation, "constant"))
+    assert term.states == (state,)
+    fitted = replace(fitted, residual=fitted.residual - 5.0 * responses(data, fitted, [term])[:, 0])
+    assert (equation, "constant") in [(o.equation, o.dependence) for o in left_of(data, fitted)]
+    data.driven = tuple(equation != own for own in MOVES)
+    assert equation not in {one.equation for one in left_of(data, fitted)}
 
 
 def rippling(log, wheel, order, phase_rad=0.0):

@@ -99,8 +99,8 @@ class News:
     share: float
     driven: bool
     """Whether the robot is driven in all directions."""
-    turned: bool = True
-    """Whether it is driven round."""
+    along: tuple[bool, bool, bool] = (True, True, True)
+    """Whether it is driven along its x, its y, and round."""
 
     @property
     def answers(self) -> bool:
@@ -358,14 +358,16 @@ def _means(values: Array, stride: int) -> Array:
     return np.lib.stride_tricks.sliding_window_view(values, stride, axis=0).mean(axis=-1)
 
 
-def _driven(machine: Machine, tracks: Sequence[_core.Track]) -> tuple[bool, bool]:
-    """Whether the robot moves in every direction of (x, y, a wheel's way round), and round."""
+def _driven(
+    machine: Machine, tracks: Sequence[_core.Track]
+) -> tuple[bool, tuple[bool, bool, bool]]:
+    """Whether the robot moves in every direction of (x, y, a wheel's way round), and in each."""
     speed = np.concatenate([t.state.reshape(-1, t.filter_states)[:, 8:11] for t in tracks])
     speed = speed * [1.0, 1.0, machine.model.values["robot.wheel_distance_m"]]
     squares = speed.T @ speed
     least, *_, most = np.linalg.eigvalsh(squares)
-    enough = DRIVEN**2 * most
-    return bool(least >= enough), bool(squares[2, 2] >= enough)
+    along_x, along_y, around = (bool(own >= DRIVEN**2 * most) for own in np.diag(squares))
+    return bool(least >= DRIVEN**2 * most), (along_x, along_y, around)
 
 
 def _motion(states: Array) -> Array:

@@ -302,8 +302,9 @@ class Data:
         news = news_of(machine, runs, self.tracks)
         self.feigned_gain = news.feigned_gain
         """Gain beyond chance below which an effect may be a controller's answer."""
-        self.turned = news.turned
-        """Whether anything but disturbances, and answers to them, turns the robot."""
+        self.driven = news.along
+        """Whether anything but disturbances, and answers to them, moves the robot along its x, its
+        y, and round."""
         self._news = news.new if news.answers else None
         self._newsless = self._without_news()
         columns = np.zeros((sum(len(run.t_s) for run in runs) * machine.engine.outputs, 0))

@@ -194,7 +194,7 @@ def _feigned_gain(data: Data, effect: Candidate) -> float:
 
     The friction curve does no harm where it is named in vain, but others where it is missing.
     """
-    if effect.effect in TURNING and not data.turned:
+    if effect.effect in TURNING and not data.driven[2]:
         return np.inf
     return min(data.feigned_gain, FEIGNED_GAIN) if effect.effect == CURVE else data.feigned_gain
 
@@ -353,7 +353,7 @@ def beside_turning(data: Data, fitted: Fit) -> Fit:
 
     What that explains is no effect to be named, and what else explains it is none either.
     """
-    if data.turned or any(effect.effect in TURNING for effect in fitted.hypothesis.effects):
+    if data.driven[2] or any(effect.effect in TURNING for effect in fitted.hypothesis.effects):
         return fitted
     inertia = next(c for c in data.machine.candidates() if c.effect == TURNING[0])
     return fit(data, fitted.hypothesis.with_effect(inertia, [inertia.parameters[0].scale]))

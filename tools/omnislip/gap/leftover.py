@@ -69,7 +69,8 @@ ALONG_BOTH = {
     "floor/speed_x": ("floor/speed", "floor/speed_y"),
 }
 """Equations along x that are tried together with those along y, and as what."""
-TURNS = "body/moment"
+MOVES = ("body/force_x", "body/force_y", "body/moment")
+"""Equations of the body, along its x, its y, and round."""
 IN_ITS_PLACE = 0.5
 """Share of an effect's gain that a term must take over to stand in its place."""
 MOST_SHAPES = 5
@@ -148,8 +149,8 @@ class Shape:
 def find_leftover(data: Data, fitted: Fit, free: Array) -> list[Leftover]:
     """Return the terms that pass, strongest first; `free` are the responses to the dictionary.
 
-    Of a robot what no effect of the catalogue comes near, too, and what has to be looked for. No
-    moment where nothing but disturbances turns it: one that lasts passes for a law of turning.
+    Of a robot what no effect of the catalogue comes near, too, and what has to be looked for. Not
+    in a direction in which nothing but disturbances moves it: one that lasts passes for a law.
     """
     terms, choices = dictionary(data.machine), 0
     if data.machine.kind == "robot":
@@ -159,8 +160,13 @@ def find_leftover(data: Data, fitted: Fit, free: Array) -> list[Leftover]:
         swings, swinging = _swings_looked_for(data, fitted, tracks)
         terms = [*terms, *more, *swings]
         free = np.hstack([free, responses(data, fitted, more, tracks), swinging])
-    kept = [k for k, one in enumerate(terms) if data.turned or one.equation != TURNS]
+    kept = [k for k, one in enumerate(terms) if is_driven(data, one.equation)]
     return _passing(data, fitted, [terms[k] for k in kept], free[:, kept], choices)
+
+
+def is_driven(data: Data, equation: str) -> bool:
+    """Whether what an equation moves is driven, by anything but disturbances."""
+    return equation not in MOVES or data.driven[MOVES.index(equation)]
 
 
 def find_shapes(data: Data, refit: Fit) -> list[Leftover]:
@@ -381,8 +387,8 @@ def _groups(terms: Sequence[Term]) -> dict[tuple[str, str], list[int]]:
     for k, term in enumerate(terms):
         if term.jointly:
             groups.setdefault((term.equation, term.jointly), []).append(k)
-        if term.equation in ALONG_BOTH:
-            both, other = ALONG_BOTH[term.equation]
+        both, other = ALONG_BOTH.get(term.equation, ("", ""))
+        if (other, term.dependence) in groups:
             groups[both, term.dependence] = [k, *groups[other, term.dependence]]
     return groups
 

@@ -39,7 +39,8 @@ EXACT_KEYS = (
 KEY_REACH, KEY_TOLD = 3.0, 2.0
 """Tolerances by which a believed key may move, and from which it is told by name. Of thirteen keys
 one is beyond two in every other robot, beyond three in one of thirty; a name that takes the rest
-of one key upon it is none."""
+of one key upon it is none. Those of the contact stay within two: what friction is off by as a
+whole gets no name anyway (judge.within_law), and with more they bend a law into another's."""
 AXIS_KEYS = {
     "mass_kg": "axis.inertia",
     "inertia_kg_m2": "axis.inertia",
@@ -525,7 +526,7 @@ class Machine:
     def _base_parameter(self, key: str) -> Parameter:
         value = float(self.model.values[key])  # type: ignore[arg-type]
         deviation = abs(value) * self.model.tolerance_of(key)
-        most = KEY_REACH * deviation
+        most = (KEY_TOLD if key.startswith("contact.") else KEY_REACH) * deviation
         return Parameter(key, self._key_places()[key], deviation, value - most, value + most)
 
     def _candidate(self, entry: dict, wheel: int | None) -> Candidate:

@@ -401,7 +401,7 @@ def _keys(base: Json) -> Json | None:
     if not base:
         return None
     rows = [
-        {"key": key, "far": abs(moved["standard_deviations"]) >= KEY_TOLD, **moved}
+        {"key": key, "far": abs(moved["standard_deviations"]) > KEY_TOLD - 1e-6, **moved}
         for key, moved in base.items()
     ]
     deviations = [row["standard_deviations"] for row in rows]

@@ -232,7 +232,7 @@ def keys_picture(keys: Sequence[str], deviations: Sequence[float]) -> str:
     """Draw how far each believed key moved, in standard deviations, and from where it is told."""
     figure, (axis,) = _figure(1, 0.7 + 0.25 * len(keys))
     rows = np.arange(len(keys))
-    colours = [ORANGE if abs(z) >= KEY_TOLD else BLUE for z in deviations]
+    colours = [ORANGE if abs(z) > KEY_TOLD - 1e-6 else BLUE for z in deviations]
     axis.axvspan(-1, 1, color="#eef0f3", linewidth=0)
     axis.vlines(
         [-KEY_TOLD, KEY_TOLD], -0.5, len(keys) - 0.5, color=DARK, linewidth=1, linestyle="--"

@@ -21,7 +21,7 @@ import numpy.typing as npt
 from scipy.stats import chi2
 
 from omnislip.gap.inference import Data, Fit, check_columns, free_of_fitted, inflation_of
-from omnislip.gap.leftover import Leftover
+from omnislip.gap.leftover import Leftover, is_driven
 from omnislip.gap.machine import Machine
 from omnislip.gap.noise import DISTURBANCES, track_all
 from omnislip.gap.predictable import MOVED
@@ -120,6 +120,7 @@ def describe_unknown(outcome: Outcome) -> Unknown | None:
     values = outcome.final.hypothesis.flat(outcome.data.believed)
     machine = outcome.data.machine
     study, found = _Study(outcome.data, outcome.final, values), equations(machine, values)
+    found = [one for one in found if is_driven(outcome.data, one.name)]
     tried = [*study.all_pairs(found), *study.of_terms(found, outcome.leftover[:MOST_TERMS])]
     passed = [one for one in tried if one.p_value * len(tried) < P_VALUE and one.helps]
     best = max(passed, key=lambda one: one.validation_gain, default=None)

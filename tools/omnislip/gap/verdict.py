@@ -128,7 +128,7 @@ def keys_told(fitted: Fit, believed: Array) -> dict[str, float]:
     """Return the believed keys that are `KEY_TOLD` tolerances off or more, and by how many."""
     model = fitted.hypothesis
     moved = zip(model.base, prior_penalty(model, believed, model.x), strict=True)
-    return {key.label: float(z) for key, z in moved if abs(z) >= KEY_TOLD}
+    return {key.label: float(z) for key, z in moved if abs(z) > KEY_TOLD - 1e-6}
 
 
 def too_many_keys(outcome: Outcome) -> list[str]:
