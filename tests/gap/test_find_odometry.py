@@ -156,13 +156,15 @@ def test_a_camera_that_is_turned_is_not_told_from_a_robot_that_is(tmp_path, mode
     assert abs(found.values[0]) == pytest.approx(0.1, abs=0.005)
 
 
-@pytest.mark.parametrize("turn_rad_s", [1.3, -4.0])
-def test_a_robot_turns_on_while_the_camera_is_lost(model, turn_rad_s):
-    """By half a turn and more, which its wheels tell, within 1 %."""
+@pytest.mark.parametrize(
+    ("turn_rad_s", "lost_s", "counted"), [(1.3, 4.0, 1.01), (-4.0, 4.0, 0.99), (4.0, 0.0, 20.0)]
+)
+def test_a_robot_turns_on_while_the_camera_is_lost(model, turn_rad_s, lost_s, counted):
+    """By half a turn and more, which its wheels tell, or they have no say."""
     t_s = np.arange(0.0, 10.0, ROW_S)
-    counts = np.round(1.01 * turn_rad_s * t_s * DISTANCE_M / RADIUS_M * COUNTS / (2 * np.pi))
+    counts = np.round(counted * turn_rad_s * t_s * DISTANCE_M / RADIUS_M * COUNTS / (2 * np.pi))
     wrapped = (turn_rad_s * t_s + np.pi) % (2 * np.pi) - np.pi
-    lost = (t_s > 2.0) & (t_s < 6.0)
+    lost = (t_s > 2.0) & (t_s < 2.0 + lost_s)
     columns = {f"wheel/{i + 1}/encoder_counts": counts for i in range(4)}
     columns |= {"pose/x_m": np.where(lost, np.nan, 0.0), "pose/y_m": np.where(lost, np.nan, 0.0)}
     columns["pose/theta_rad"] = np.where(lost, np.nan, wrapped)

@@ -279,7 +279,7 @@ def _odometry_run(machine: Machine, log: Log, rows: slice, t_s: Array) -> Run:
     rates = np.concatenate([rates, rates[-1:]])
     pose = np.stack([log.columns[name][rows] for name in ROBOT_CHANNELS[5:]], axis=1)
     turn = (rates @ of_encoders(machine))[:-1, 2] * np.diff(t_s)
-    pose[:, 2] = _unwrap_sampled(pose[:, 2], np.append(0.0, np.cumsum(turn)))
+    pose[:, 2] = _unwrap_sampled(t_s, pose[:, 2], np.append(0.0, np.cumsum(turn)))
     first = np.array([column[~np.isnan(column)][0] for column in pose.T])
     padded = np.zeros((len(t_s), machine.engine.motors))
     padded[:, : machine.wheels] = rates
@@ -359,7 +359,7 @@ def _robot_signals(machine: Machine, log: Log, rows: slice) -> tuple[Array, Arra
     angles = [count * rad_per_count for count in counts]
     others = [columns.get(name, blank) for name in ROBOT_CHANNELS[4:]]
     turned = np.append(0.0, np.cumsum(_reckoned_steps(machine, log)[2]))
-    others[3] = _unwrap_sampled(others[3], turned[rows])
+    others[3] = _unwrap_sampled(log.t_s[rows], others[3], turned[rows])
     # What flows goes with a command that has to be known: that of the last row has no row to be the
     # mean of, and what was read before one went with that of the row before, if it is there. Of a
     # first row that is never sure: tens of ampere of a robot that starts.
@@ -406,15 +406,17 @@ def _past_currents(machine: Machine, log: Log, begin: int) -> tuple[Array, Array
     return whole_s, heat / whole_s[:, None]
 
 
-def _unwrap_sampled(angle_rad: Array, turned_rad: Array) -> Array:
+def _unwrap_sampled(t_s: Array, angle_rad: Array, turned_rad: Array) -> Array:
     """Return headings (rows,) without jumps by whole turns where they are sampled.
 
-    Beside `turned_rad`, what gyro or wheels have turned by: while the camera is lost a robot turns
-    on.
+    Where the camera is lost for longer, beside what gyro or wheels have turned by.
     """
-    sampled = ~np.isnan(angle_rad)
+    sampled = np.flatnonzero(~np.isnan(angle_rad))
+    lost = np.diff(t_s[sampled]) > GLANCE_S
+    turn = np.where(lost, np.diff(turned_rad[sampled]), 0.0)
+    meanwhile = np.concatenate([np.zeros(min(1, sampled.size)), np.cumsum(turn)])
     result = angle_rad.copy()
-    result[sampled] = turned_rad[sampled] + np.unwrap((angle_rad - turned_rad)[sampled])
+    result[sampled] = meanwhile + np.unwrap(angle_rad[sampled] - meanwhile)
     return result
 
 
