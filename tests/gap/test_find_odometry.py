@@ -36,12 +36,14 @@ def make_log(
     lost=0.0,
     slack_s2_m=0.0,
     uneven=0.0,
+    swerve_rad_m=0.0,
 ):
     """A robot that drives smoothly at random; integrated 50 times a row, in world coordinates.
 
     `drift` of its speed goes along the world's y; the second encoder shows less by the share `lost`
     above 2.5 rad/s; rims move less by a share of `slack_s2_m` times what they accelerate; the third
-    wheel's radius changes by the share `uneven` in a turn.
+    wheel's radius changes by the share `uneven` in a turn; moving sideways turns the robot by
+    `swerve_rad_m`.
     """
     rng = np.random.default_rng(seed)
     fine_s = ROW_S / FINE
@@ -55,6 +57,7 @@ def make_log(
     moved = rims * (1 - slack_s2_m * np.abs(np.gradient(rims, fine_s, axis=1)))
     moved[2] *= 1 + uneven * np.sin(np.cumsum(rims[2]) * fine_s / RADIUS_M + seed)
     true = np.linalg.pinv(jacobian) @ moved if slack_s2_m or uneven else claimed
+    true = true + [[0.0], [0.0], [swerve_rad_m]] * true[1]
     rims[1] *= 1 - lost * (np.abs(rims[1]) > 2.5 * RADIUS_M)
     angles = np.cumsum(rims, axis=1) * fine_s / RADIUS_M
     heading = np.cumsum(true[2]) * fine_s
@@ -137,6 +140,13 @@ def test_what_no_effect_of_an_odometry_is_gets_its_law(tmp_path, model, hidden, 
     if size:
         [(slope, unit)] = re.findall(size, findings.sentence)
         assert float(slope) / float(unit) == pytest.approx(hidden["drift"], rel=0.05)
+
+
+def test_one_law_stands_for_several_names(tmp_path, model):
+    """Moving sideways turns the robot: radii of three wheels and a marker explain it, too."""
+    findings = find(tmp_path, model, [make_log(seed, swerve_rad_m=0.3) for seed in range(6)])
+    assert findings.verdict == "unknown_effect"
+    assert "odometry/turning, depending on speed across" in findings.sentence
 
 
 def test_a_wheel_out_of_round_is_told_by_its_angle(tmp_path, model):

@@ -34,7 +34,9 @@ def selected(name, gain, inflation=1.0, variation=0.0, left=0.0):
     return Selected(candidate, np.ones(1), np.ones((1, 2)), evidence, (), 1.0, left)
 
 
-def verdict_of(effects, left=(), jolts=False, feigned_gain=0.0, table=None, trials=(), keys_off=0):
+def verdict_of(
+    effects, left=(), jolts=False, feigned_gain=0.0, table=None, trials=(), keys_off=0, law=None
+):
     """Verdict where without a table replays are as near as can be.
 
     `left` is the gain of a leftover term and what of it the shapes of effects cover.
@@ -50,7 +52,7 @@ def verdict_of(effects, left=(), jolts=False, feigned_gain=0.0, table=None, tria
     )
     final = SimpleNamespace(hypothesis=hypothesis)
     outcome = SimpleNamespace(
-        selected=effects, leftover=left, trials=trials, data=data, final=final
+        selected=effects, leftover=left, trials=trials, data=data, final=final, law=law
     )
     table = table or SimpleNamespace(left=Left(0.0, 1.0), closed=Closed(1.0, 0.9, 1.1))
     return judge_outcome(outcome, table, False, [], jolts)
@@ -232,6 +234,12 @@ def replace_namespace(one, **changed):
 @pytest.mark.parametrize(("keys_off", "verdict"), [(4, "no_gap"), (5, "unknown_effect")])
 def test_many_believed_keys_far_off_are_no_model_that_explains_the_logs(keys_off, verdict):
     assert verdict_of([], keys_off=keys_off) == verdict
+
+
+def test_names_of_which_one_law_takes_all_places_are_not_given():
+    effects = [selected("coulomb_friction", 1e5), selected("payload", 1e5)]
+    assert verdict_of(effects) == "effect_found"
+    assert verdict_of(effects, law=Shape("body/moment", "yaw rate", 2e5)) == "unknown_effect"
 
 
 def test_a_key_beyond_two_tolerances_is_told_by_name():

@@ -73,6 +73,8 @@ MOVES = ("body/force_x", "body/force_y", "body/moment")
 """Equations of the body, along its x, its y, and round."""
 IN_ITS_PLACE = 0.5
 """Share of an effect's gain that a term must take over to stand in its place."""
+ALL_OF_IT, MOST_OF_IT = 0.95, 0.9
+"""Shares of what several names explain that one term has to, and that no name of them may."""
 MOST_SHAPES = 5
 AT_ONCE = 16
 """Terms whose responses are computed together: two groups of lanes, arrays of some megabytes."""
@@ -205,6 +207,24 @@ def shapes_instead(
         ]
         found.append(max(instead, key=lambda shape: shape.gain, default=None))
     return found
+
+
+def one_law(data: Data, ladder: Sequence[Fit]) -> Shape | None:
+    """Return the term that explains by itself what takes two names or more, neither most of it.
+
+    `ladder` are fits of the base and of the first effect, the first two, ... A robot that moving
+    sideways turns passed for radii of three wheels and a marker off its place, five numbers in all,
+    which explained 1 % more than one.
+    """
+    base, final = ladder[0], ladder[-1]
+    if sum(effect.effect != CURVE for effect in final.hypothesis.effects) < 2:
+        return None
+    terms = dictionary(data.machine)
+    gains = _gains_of_shapes(base, responses(data, base, terms), terms)
+    name = max(gains, key=gains.__getitem__)
+    gain, whole = gains[name], base.objective - final.objective
+    first = base.objective - ladder[1].objective
+    return Shape(*name, gain) if gain > ALL_OF_IT * whole and first < MOST_OF_IT * gain else None
 
 
 def _gains_of_shapes(

@@ -37,7 +37,7 @@ from omnislip.gap.judge import (
     judge_candidate,
     no_more_than_chance,
 )
-from omnislip.gap.leftover import Leftover, find_leftover, responses
+from omnislip.gap.leftover import Leftover, Shape, find_leftover, one_law, responses
 from omnislip.gap.limits import detection_limits
 from omnislip.gap.machine import Candidate, Machine
 from omnislip.gap.noise import Noise, RunawayError
@@ -105,6 +105,8 @@ class Outcome:
     data: Data
     neighbours: dict[str, list[Candidate]]
     """Of each effect that was chosen, what promised most then: what it may have been taken for."""
+    law: Shape | None = None
+    """One term that explains what takes all the names."""
 
     @cached_property
     def limits(self) -> dict[str, dict[str, float]]:
@@ -130,7 +132,7 @@ class Outcome:
 
     def without_effects(self) -> "Outcome":
         """Return the outcome with the base fit as the final one."""
-        return replace(self, final=self.base, ladder=self.ladder[:1], selected=())
+        return replace(self, final=self.base, ladder=self.ladder[:1], selected=(), law=None)
 
 
 class MistakenError(Exception):
@@ -277,6 +279,7 @@ def search(
         tuple(leftover),
         data,
         neighbours,
+        one_law(data, ladder),
     )
 
 

@@ -119,7 +119,7 @@ def judge_outcome(
         return "unknown_effect"
     if sudden or any(no_chance(one) for one in shares) or varying(outcome.selected):
         return "unknown_effect"
-    if too_many_keys(outcome) or better_without_name(outcome.selected):
+    if too_many_keys(outcome) or better_without_name(outcome.selected) or outcome.law:
         return "unknown_effect"
     return "effect_found" if outcome.selected or mended else "no_gap"
 

@@ -184,6 +184,11 @@ def verdict_words(
             for one in nameless
             if one.instead
         )
+        if outcome.law:
+            text += (
+                f"; {outcome.law.equation}, depending on {outcome.law.dependence}, explains by "
+                "itself what takes all the names"
+            )
         if refused := surely_refused(outcome):
             text += f"; {refused.candidate.name} explains much of it in some runs and spoils others"
         elif refused := refused_in_places(outcome, table):
