@@ -44,10 +44,12 @@ PULLED_BY = (1.5, 2.0, 3.0)
 """How much larger an effect may be than noise that covers it lets it seem."""
 PLAY, SPRING = "gear_backlash", "shaft_compliance"
 FAR_DELAYS_ROWS = (1.5, 2.0, 3.0, 4.0, 6.0)
+AXIS_DELAYS_ROWS = (0.5, 1.0, *FAR_DELAYS_ROWS)
 FAR_SIZES = {PLAY: (0.4, 1.35, 13), "bristle_relaxation": (0.2, 1.6, 12)}
 """Delays, in rows, and sizes where no derivative leads: the first in its scale, its factor to the
 next and how many (plays of 4 to 150 mrad of a robot, bristles of 0.2 to 35 mm). Of 63 mrad a play
-of 40 explains less than none."""
+of 40 explains less than none. An axis has one command, and its noise takes a delay of a row for
+chance whole (one of 0.93 rows promised nothing and is likelier by exp(1,670))."""
 SHAKEN = 0.003
 """Of a motor's acceleration at stall, how much its shaft has to be shaken by what a model does not
 foretell for play and springs to be looked for: 0.005 to 0.04 in ten sets of logs with springs that
@@ -181,7 +183,8 @@ class Ahead:
         current, runs = self._current.hypothesis, self._data.runs
         if candidate.effect == DELAY:
             row_s = max(run.row_s for run in runs)
-            sizes, apart, apart_share = row_s * np.array(FAR_DELAYS_ROWS), row_s, 0.0
+            rows = FAR_DELAYS_ROWS if self._data.machine.kind == "robot" else AXIS_DELAYS_ROWS
+            sizes, apart, apart_share = row_s * np.array(rows), row_s, 0.0
             sizes = sizes[sizes <= candidate.parameters[0].high]
         else:
             sizes = _far_sizes(candidate)
@@ -206,7 +209,8 @@ class Ahead:
         for share in FAR_STEPS:
             size, *shape = best.model.values_of(-1)
             step = share * (apart + apart_share * size)
-            beside = likeliest([[size - step, *shape], [size + step, *shape]], runs)
+            near = [one for one in (size - step, size + step) if one > 0.0]
+            beside = likeliest([[one, *shape] for one in near], runs)
             best = max(best, beside, key=lambda one: one.likelihood)
         if best.model.values_of(-1)[0] < sizes[0]:
             return None
