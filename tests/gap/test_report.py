@@ -445,8 +445,8 @@ def test_limit_beyond_the_bound_of_its_size_is_not_called_a_limit(machines):
     assert next(r for r in rows if r[0] == "low_grip scale")[1] == "cannot be seen"
 
 
-def test_key_far_off_is_marked(machines, no_gap_html):
-    marked = [row[0] for row in Page(no_gap_html).rows if row[-1].endswith("far off")]
+def test_key_at_its_bound_is_marked(machines, no_gap_html):
+    marked = [row[0] for row in Page(no_gap_html).rows if row[-1].endswith("at bound")]
     assert marked == [machines["robot"].base_parameters()[0].label]
 
 

@@ -1,6 +1,6 @@
 """Whether a candidate is taken, or stays: the tests of chance, of other runs, and of shapes."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt

@@ -36,14 +36,8 @@ EXACT_KEYS = (
     "odometry.roller_angle_deg",
     "odometry.counts_per_rev",
 )
-KEY_REACH, KEY_TOLD = 3.0, 2.0
-"""Tolerances by which a believed key may move, and from which it is told by name. Of thirteen keys
-one is beyond two in every other robot, beyond three in one of thirty; a name that takes the rest
-of one key upon it is none."""
-WITHIN_TOLD = ("contact.", "odometry.")
-"""Keys that stay within two: what friction is off by as a whole gets no name anyway
-(judge.within_law), and with more they bend a law into another's; the two lengths of an odometry are
-beyond two in one set of eleven, and have names."""
+KEY_REACH = 2.0
+"""Tolerances by which a believed key may move; one that would go further is told by name."""
 AXIS_KEYS = {
     "mass_kg": "axis.inertia",
     "inertia_kg_m2": "axis.inertia",
@@ -529,7 +523,7 @@ class Machine:
     def _base_parameter(self, key: str) -> Parameter:
         value = float(self.model.values[key])  # type: ignore[arg-type]
         deviation = abs(value) * self.model.tolerance_of(key)
-        most = (KEY_TOLD if key.startswith(WITHIN_TOLD) else KEY_REACH) * deviation
+        most = KEY_REACH * deviation
         return Parameter(key, self._key_places()[key], deviation, value - most, value + most)
 
     def _candidate(self, entry: dict, wheel: int | None) -> Candidate:

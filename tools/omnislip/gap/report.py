@@ -34,7 +34,6 @@ from omnislip.gap.findings import CANNOT_BE_USED, NOT_ENOUGH, Findings, to_json
 from omnislip.gap.judge import Trial
 from omnislip.gap.machine import (
     KEY_REACH,
-    KEY_TOLD,
     Candidate,
     Machine,
     effect_and_wheel,
@@ -401,13 +400,13 @@ def _keys(base: Json) -> Json | None:
     if not base:
         return None
     rows = [
-        {"key": key, "far": abs(moved["standard_deviations"]) > KEY_TOLD - 1e-6, **moved}
+        {"key": key, "at_bound": abs(moved["standard_deviations"]) > KEY_REACH - 1e-6, **moved}
         for key, moved in base.items()
     ]
     deviations = [row["standard_deviations"] for row in rows]
     names = [row["key"] for row in rows]
     picture = report_pictures.keys_picture(names, deviations)
-    return {"rows": rows, "picture": picture, "told": KEY_TOLD, "reach": KEY_REACH}
+    return {"rows": rows, "picture": picture, "reach": KEY_REACH}
 
 
 def _held_out_names(findings: Findings) -> list[str]:

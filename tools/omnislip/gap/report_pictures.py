@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, FancyArrowPatch, Polygon
 
 from omnislip.gap.judge import Trial
-from omnislip.gap.machine import KEY_REACH, KEY_TOLD
+from omnislip.gap.machine import KEY_REACH
 from omnislip.gap.metrics import GapTable, Replays
 from omnislip.gap.unknown import Unknown
 from omnislip.gap.where import Map, Place
@@ -232,16 +232,16 @@ def keys_picture(keys: Sequence[str], deviations: Sequence[float]) -> str:
     """Draw how far each believed key moved, in standard deviations, and from where it is told."""
     figure, (axis,) = _figure(1, 0.7 + 0.25 * len(keys))
     rows = np.arange(len(keys))
-    colours = [ORANGE if abs(z) > KEY_TOLD - 1e-6 else BLUE for z in deviations]
+    colours = [ORANGE if abs(z) > KEY_REACH - 1e-6 else BLUE for z in deviations]
     axis.axvspan(-1, 1, color="#eef0f3", linewidth=0)
     axis.vlines(
-        [-KEY_TOLD, KEY_TOLD], -0.5, len(keys) - 0.5, color=DARK, linewidth=1, linestyle="--"
+        [-KEY_REACH, KEY_REACH], -0.5, len(keys) - 0.5, color=DARK, linewidth=1, linestyle="--"
     )
     axis.hlines(rows, 0, deviations, color=colours, linewidth=2)
     axis.scatter(deviations, rows, c=colours, s=26, zorder=3, marker="o")
     axis.set_yticks(rows, keys)
     axis.set_ylim(len(keys) - 0.5, -0.5)
-    axis.set_xlim(-1.05 * KEY_REACH, 1.05 * KEY_REACH)
+    axis.set_xlim(-1.15 * KEY_REACH, 1.15 * KEY_REACH)
     axis.set_xlabel("moved by / standard deviations")
     return _address(figure)
 

@@ -17,7 +17,7 @@ from omnislip.gap.judge import (
     within_row,
 )
 from omnislip.gap.leftover import Leftover
-from omnislip.gap.machine import CURVE, KEY_TOLD
+from omnislip.gap.machine import CURVE, KEY_REACH
 from omnislip.gap.metrics import LEAST_EXCESS, REPEATED, GapTable
 from omnislip.gap.noise import LASTING_RATE_1_S
 from omnislip.gap.predictable import BEAT_S, EQUATIONS, OWN_PASTS_S, Predictable
@@ -75,7 +75,7 @@ SURE = 3.0
 FAINT_GAIN = 100.0
 """Gain beyond chance from which a change of the friction curve is no faint one: twice what a curve
 gains that is 1.5 % of the way to another law."""
-KEY_AT_END, KEYS_BY_CHANCE = 2.0 * float(norm.sf(KEY_TOLD)), 1e-3
+KEY_AT_END, KEYS_BY_CHANCE = 2.0 * float(norm.sf(KEY_REACH)), 1e-3
 """Chance that one believed key is two tolerances off; and that so many are, below which the model
 is wrong in something else."""
 
@@ -125,10 +125,10 @@ def judge_outcome(
 
 
 def keys_told(fitted: Fit, believed: Array) -> dict[str, float]:
-    """Return the believed keys that are `KEY_TOLD` tolerances off or more, and by how many."""
+    """Return the believed keys that are `KEY_REACH` tolerances off or more, and by how many."""
     model = fitted.hypothesis
     moved = zip(model.base, prior_penalty(model, believed, model.x), strict=True)
-    return {key.label: float(z) for key, z in moved if abs(z) > KEY_TOLD - 1e-6}
+    return {key.label: float(z) for key, z in moved if abs(z) > KEY_REACH - 1e-6}
 
 
 def too_many_keys(outcome: Outcome) -> list[str]:

@@ -226,12 +226,12 @@ def verdict_words(
 
 
 def keys_words(fitted: Fit, machine: Machine) -> list[str]:
-    """Return a caution with the believed keys that are more than two tolerances off, if any."""
+    """Return a caution with the believed keys that would go beyond two tolerances, if any."""
     told = [
         f"{key} ({100 * z * machine.model.tolerance_of(key):+.2g} %)"
         for key, z in keys_told(fitted, machine.believed).items()
     ]
-    return [f"More than two tolerances off: {', '.join(told)}."] if told else []
+    return [f"Two tolerances off or more: {', '.join(told)}."] if told else []
 
 
 def advice(selected: Sequence[Selected], manoeuvres: dict[str, Separation]) -> str:
