@@ -1,6 +1,6 @@
 """Whether a candidate is taken, or stays: the tests of chance, of other runs, and of shapes."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
