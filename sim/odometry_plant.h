@@ -69,10 +69,11 @@ class OdometryPlant {
             c_.wheel_radius_m[i] = rolling;
             c_.wheel_angle_rad[i] = flat[3 + i] * degree;
             c_.roller_angle_offset_rad[i] = S(0.0);
-            sensor_.encoder_rate[i] = S(1.0);
+            standing_[i] = S(0.0);
         }
         active_.prepare(flat + kBase, active, c_);
-        read_encoder_rates();
+        const SensorTerm<S, kMotors> at_rest = shown(S(0.0), S(0.0), S(0.0));
+        std::copy_n(at_rest.encoder_rate, kMotors, encoder_rate_);
         solve_geometry();
     }
 
@@ -80,7 +81,7 @@ class OdometryPlant {
     void begin_step(const S *, const S *u, double, Step &step) const {
         CountedTerm<S, kMotors> wheels;
         for (int i = 0; i < kMostWheels; ++i)
-            wheels.rate_rad_s[i] = u[i] / sensor_.encoder_rate[i];
+            wheels.rate_rad_s[i] = u[i] / encoder_rate_[i];
         if (active_.use(kCounted)) {
             tell_by_others(wheels);
             active_.apply(kCounted, [&](auto effect, const Values<S> &values) {
@@ -110,18 +111,7 @@ class OdometryPlant {
     }
 
     void output(const S *x, const S &, S *y) const {
-        SensorTerm<S, kMotors> term;
-        term.x_m = x[0];
-        term.y_m = x[1];
-        term.theta_rad = x[2];
-        term.gyro_rad_s = S(0.0);
-        for (int i = 0; i < kMostWheels; ++i)
-            term.encoder_rate[i] = S(1.0);
-        const S standing[kMotors] = {};
-        term.speed_rad_s = standing;
-        active_.apply(kSensor, [&](auto effect, const Values<S> &values) {
-            decltype(effect)::sensor(term, values);
-        });
+        const SensorTerm<S, kMotors> term = shown(x[0], x[1], x[2]);
         y[0] = term.x_m;
         y[1] = term.y_m;
         y[2] = term.theta_rad;
@@ -176,13 +166,20 @@ class OdometryPlant {
         }
     }
 
-    void read_encoder_rates() {
-        sensor_.gyro_rad_s = sensor_.x_m = sensor_.y_m = sensor_.theta_rad = S(0.0);
-        const S standing[kMotors] = {};
-        sensor_.speed_rad_s = standing;
+    /* What camera and encoders show of a pose; an odometry has no motors that turn. */
+    SensorTerm<S, kMotors> shown(const S &x_m, const S &y_m, const S &theta_rad) const {
+        SensorTerm<S, kMotors> term;
+        term.x_m = x_m;
+        term.y_m = y_m;
+        term.theta_rad = theta_rad;
+        term.gyro_rad_s = S(0.0);
+        for (int i = 0; i < kMostWheels; ++i)
+            term.encoder_rate[i] = S(1.0);
+        term.speed_rad_s = standing_;
         active_.apply(kSensor, [&](auto effect, const Values<S> &values) {
-            decltype(effect)::sensor(sensor_, values);
+            decltype(effect)::sensor(term, values);
         });
+        return term;
     }
 
     /* inverse_ = (J'J)^-1 J' diag(rim speed per encoder rate); J'J by its adjugate. */
@@ -241,7 +238,7 @@ class OdometryPlant {
     }
 
     Constants<S, kMotors> c_;
-    SensorTerm<S, kMotors> sensor_;
+    S encoder_rate_[kMotors], standing_[kMotors]; /* per wheel angle; speeds of motors */
     S jacobian_[kMostWheels][3], inverse_[3][kMostWheels];
     ActiveEffects<S, kMotors, kOdometry> active_;
 };

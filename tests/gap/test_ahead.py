@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from axis_bench import Bench, make_machine, make_runs, silent
+from axis_bench import ROW_S, Bench, make_log, make_machine, make_runs, silent
 from omnislip.gap import ahead as ahead_module
 from omnislip.gap.ahead import Ahead, Further
 from omnislip.gap.inference import Evidence, fit
@@ -55,6 +55,22 @@ def test_a_delay_of_some_rows_is_found_in_a_loop_that_it_sets_swinging(tmp_path,
     if name == "actuation_delay":
         quarter_row_s = 0.25 * 0.005
         assert further.fitted.hypothesis.values_of(0) == pytest.approx(0.0155, abs=quarter_row_s)
+    else:
+        assert further is None
+
+
+@pytest.mark.parametrize("rows", [0, 1])
+def test_a_delay_of_a_row_is_found_of_an_axis_whose_noise_takes_it_for_chance(machine, rows):
+    """The log holds each command one row before it acts."""
+    logs = [make_log(Bench(), seed) for seed in range(3)]
+    for log in logs:
+        log.columns["axis/command"] = np.roll(log.columns["axis/command"], -rows)
+    runs = [make_run(machine, log) for log in logs]
+    data, current = settle(machine, runs, believed_hypothesis(machine))
+    [delay] = [c for c in machine.candidates() if c.effect == "actuation_delay"]
+    further = Ahead(data, current, machine.candidates(), 1, 100, silent).far(delay, None)
+    if rows:
+        assert further.fitted.hypothesis.values_of(0) == pytest.approx(ROW_S, abs=0.05 * ROW_S)
     else:
         assert further is None
 

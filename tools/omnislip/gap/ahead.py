@@ -16,8 +16,8 @@ from omnislip.gap.judge import (
     WITHIN_LAW,
     Trial,
     both_pass,
+    fit_other_law,
     judge_candidate,
-    other_laws,
 )
 from omnislip.gap.machine import CURRENT_LIMIT, CURVE, Candidate, Machine, stall_acceleration_rad_s2
 from omnislip.gap.noise import (
@@ -347,8 +347,7 @@ class Ahead:
             return None
         self._progress(f"step {self._step}: trying other laws of friction")
         data, current = self._data, self._current
-        laws = other_laws(data, current.hypothesis)
-        fitted = min(side_by_side(lambda law: fit(data, law), laws), key=lambda one: one.objective)
+        fitted = fit_other_law(data, current.hypothesis)
         index = len(current.hypothesis.effects)
         evidence = weigh(data, current, fitted, index)
         [check] = check_unseen(data, current, [fitted])

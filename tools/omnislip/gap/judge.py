@@ -271,18 +271,19 @@ def within_law(data: Data, without: Fit, fitted: Fit, index: int) -> bool:
     return beyond > -SURE_GAIN
 
 
-def other_laws(data: Data, model: Hypothesis) -> list[Hypothesis]:
-    """Return a model without the friction curve with each of the laws that this may become.
+def fit_other_law(data: Data, model: Hypothesis) -> Fit:
+    """Fit a model without the friction curve with the best of the laws that this may become.
 
     From a law towards tanh, in which direction the curve is screened, may lie nothing of another.
     """
     [curve] = [c for c in data.machine.candidates() if c.effect == CURVE]
-    return [
+    laws = [
         model.with_effect(curve, [LITTLE_CURVED])
         .with_effect(refinement, [LITTLE_CURVED])
         .last_two_joined()
         for refinement in data.machine.refinements(curve)
     ]
+    return min(side_by_side(lambda law: fit(data, law), laws), key=lambda one: one.objective)
 
 
 def _any_law(data: Data, without: Fit) -> Fit:

@@ -405,7 +405,7 @@ def _keys(base: Json) -> Json | None:
     ]
     deviations = [row["standard_deviations"] for row in rows]
     names = [row["key"] for row in rows]
-    picture = report_pictures.keys_picture(names, deviations)
+    picture = report_pictures.keys_picture(names, deviations, [row["at_bound"] for row in rows])
     return {"rows": rows, "picture": picture, "reach": KEY_REACH}
 
 

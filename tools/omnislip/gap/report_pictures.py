@@ -228,11 +228,11 @@ def ranking_picture(trials: Sequence[Trial]) -> str:
     return _address(figure)
 
 
-def keys_picture(keys: Sequence[str], deviations: Sequence[float]) -> str:
-    """Draw how far each believed key moved, in standard deviations, and from where it is told."""
+def keys_picture(keys: Sequence[str], deviations: Sequence[float], at_bound: Sequence[bool]) -> str:
+    """Draw how far each believed key moved, in standard deviations, with the bounds."""
     figure, (axis,) = _figure(1, 0.7 + 0.25 * len(keys))
     rows = np.arange(len(keys))
-    colours = [ORANGE if abs(z) > KEY_REACH - 1e-6 else BLUE for z in deviations]
+    colours = [ORANGE if hit else BLUE for hit in at_bound]
     axis.axvspan(-1, 1, color="#eef0f3", linewidth=0)
     axis.vlines(
         [-KEY_REACH, KEY_REACH], -0.5, len(keys) - 0.5, color=DARK, linewidth=1, linestyle="--"

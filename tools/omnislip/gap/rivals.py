@@ -12,8 +12,8 @@ from omnislip.gap.judge import (
     WANDERS,
     WEAK,
     drop_needless,
+    fit_other_law,
     no_more_than_chance,
-    other_laws,
     within_law,
     within_row,
 )
@@ -96,8 +96,7 @@ def take_one_of_curve(
             hypothesis = hypothesis.without(index)
     bare = fit(data, hypothesis)
     if alone:
-        laws = side_by_side(lambda law: fit(data, law), other_laws(data, bare.hypothesis))
-        base, offered = bare, [min(laws, key=lambda one: one.objective)]
+        base, offered = bare, [fit_other_law(data, bare.hypothesis)]
     else:
         [base] = refit_each(data, bare, screen(data, bare, [known[CURVE]]))
         starts = screen(data, base, [known[name] for name in others])

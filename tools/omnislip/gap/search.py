@@ -105,8 +105,11 @@ class Outcome:
     data: Data
     neighbours: dict[str, list[Candidate]]
     """Of each effect that was chosen, what promised most then: what it may have been taken for."""
-    law: Shape | None = None
-    """One term that explains what takes all the names."""
+
+    @cached_property
+    def law(self) -> Shape | None:
+        """One term that explains what takes all the names."""
+        return one_law(self.data, self.ladder)
 
     @cached_property
     def limits(self) -> dict[str, dict[str, float]]:
@@ -132,7 +135,7 @@ class Outcome:
 
     def without_effects(self) -> "Outcome":
         """Return the outcome with the base fit as the final one."""
-        return replace(self, final=self.base, ladder=self.ladder[:1], selected=(), law=None)
+        return replace(self, final=self.base, ladder=self.ladder[:1], selected=())
 
 
 class MistakenError(Exception):
@@ -279,7 +282,6 @@ def search(
         tuple(leftover),
         data,
         neighbours,
-        one_law(data, ladder),
     )
 
 

@@ -674,6 +674,8 @@ def in_world(axis: str, shape: Callable[[Array, Array], Array]) -> Callable[...,
 
 OfMotion = Callable[[Array, Array], Array]
 """(velocity (rows, 3) along, across, turning as encoders have it, time (rows,)) -> (rows,)"""
+OfRim = Callable[[Array, Array, Array], Array]
+"""(rate of a wheel (rows,), velocity (rows, 3) as above, time (rows,)) -> (rows,)"""
 
 
 def _changing(speed: Array, t: Array) -> Array:
@@ -708,11 +710,11 @@ DRIFT_SHAPES: dict[str, OfMotion] = {
 """Of what is fixed to the world: a floor that moves, the nap of a carpet."""
 
 
-def _beyond(share: float) -> Callable[[Array, Array, Array], Array]:
+def _beyond(share: float) -> OfRim:
     return lambda u, v, t: u * (np.abs(u) > share * np.max(np.abs(u)))
 
 
-def _uneven(wave: Callable[[Array], Array], order: int) -> Callable[[Array, Array, Array], Array]:
+def _uneven(wave: Callable[[Array], Array], order: int) -> OfRim:
     """A wheel out of round, `order` times a turn, from where a log begins."""
 
     def shape(u: Array, v: Array, t: Array) -> Array:
@@ -722,15 +724,14 @@ def _uneven(wave: Callable[[Array], Array], order: int) -> Callable[[Array, Arra
     return shape
 
 
-RIM_SHAPES: dict[str, Callable[[Array, Array, Array], Array]] = {
+RIM_SHAPES: dict[str, OfRim] = {
     "size of its speed": lambda u, v, t: np.abs(u),
     "speed squared, against it": lambda u, v, t: u * np.abs(u),
     "speed while the robot turns left": lambda u, v, t: u * (v[:, 2] > 0),
     "speed, as it changes": lambda u, v, t: u * _changing(u, t),
     **{f"speed beyond {share:.0%} of its fastest": _beyond(share) for share in RIM_SHARES},
 }
-"""Of a wheel that slips or whose encoder errs: (rate (rows,), velocity (rows, 3), time (rows,)) ->
-(rows,)"""
+"""Of a wheel that slips or whose encoder errs."""
 
 
 def _odometry_terms(machine: Machine) -> list[Term]:
@@ -739,10 +740,14 @@ def _odometry_terms(machine: Machine) -> list[Term]:
     wheels = range(machine.wheels)
 
     def term(
-        equation: str, name: str, velocity: Callable[[Array, Array], Array], fixed: bool = False
+        equation: str,
+        name: str,
+        velocity: OfMotion,
+        states: tuple[int, ...] = (0, 1, 2),
+        fixed: bool = False,
     ) -> Term:
         """A velocity (rows, 3) by (command, time), along the axes of the body or (fixed) of the
-        world."""
+        world, that moves these states."""
 
         def pushed(x: Array, u: Array, t: Array, state: int) -> Array:
             v = velocity(u, t)
@@ -750,14 +755,12 @@ def _odometry_terms(machine: Machine) -> list[Term]:
                 return v[:, state]
             return turned(x[:, 2], v[:, :2])[:, state]
 
-        return Term(equation, name, (0, 1, 2), pushed)
+        return Term(equation, name, states, pushed)
 
-    def along(part: int, shape: OfMotion) -> Callable[[Array, Array], Array]:
+    def along(part: int, shape: OfMotion) -> OfMotion:
         return lambda u, t: np.eye(3)[part] * shape(u @ per_rate, t)[:, None]
 
-    def of_rims(
-        own: Sequence[int], shape: Callable[[Array, Array, Array], Array]
-    ) -> Callable[[Array, Array], Array]:
+    def of_rims(own: Sequence[int], shape: OfRim) -> OfMotion:
         def velocity(u: Array, t: Array) -> Array:
             v = u @ per_rate
             return np.stack([shape(u[:, i], v, t) for i in own], axis=1) @ per_rate[own]
@@ -765,12 +768,14 @@ def _odometry_terms(machine: Machine) -> list[Term]:
         return velocity
 
     motion = [
-        term(f"odometry/{equation}", name, along(part, shape))
-        for part, equation in enumerate(("forward", "lateral", "turning"))
+        term(f"odometry/{equation}", name, along(part, shape), states)
+        for part, (equation, states) in enumerate(
+            (("forward", (0, 1)), ("lateral", (0, 1)), ("turning", (2,)))
+        )
         for name, shape in MOTION_SHAPES.items()
     ]
     drift = [
-        term(f"floor/speed_{axis}", name, along(part, shape), fixed=True)
+        term(f"floor/speed_{axis}", name, along(part, shape), (part,), fixed=True)
         for part, axis in enumerate("xy")
         for name, shape in DRIFT_SHAPES.items()
     ]
